@@ -32,8 +32,8 @@ Value DerivativeBuilder::createConstant(Type type, double value) {
 }
 
 Value DerivativeBuilder::createExtract(Value vector, int64_t component) {
-  // Looks through the op that made the vector, so that sums of components stay
-  // scalar.
+  // If `vector` was made from its components, return the component itself, so
+  // that sums of components stay sums of scalars.
   if (auto elements = vector.getDefiningOp<vector::FromElementsOp>())
     return elements.getElements()[component];
   if (auto broadcast = vector.getDefiningOp<vector::BroadcastOp>();
@@ -107,7 +107,7 @@ void mlir::tai::noteGuards(FunctionOpInterface function) {
     kernel.setGuarded(true);
 }
 
-/// True for `select (x == 0), 0, y`.
+/// True if the select has the form `select (x == 0), 0, y` of a guard.
 static bool looksLikeGuard(arith::SelectOp select) {
   return getTestedForZero(select) &&
          matchPattern(select.getTrueValue(), m_AnyZeroFloat());

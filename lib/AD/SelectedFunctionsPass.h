@@ -40,7 +40,7 @@ struct SelectedFunctionsPass : GeneratedBase<Pass> {
     if (failed(functions) || failed(self->begin()))
       return this->signalPassFailure();
     bool isGood = true;
-    // Report the errors of all functions: continue after a failure.
+    // Go on after a failure, so that the errors of all functions are reported.
     for (FunctionOpInterface function : *functions)
       isGood &= succeeded(self->runOnFunction(function));
     self->end();

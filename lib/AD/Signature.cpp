@@ -13,8 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-// The dimensions of a vector become dimensions of the memref, because atomic
-// additions take scalars alone.
+// Turns the dimensions of a vector into dimensions of the memref of adjoints,
+// because atomic additions take scalars alone.
 MemRefType mlir::tai::getShadowType(Type type) {
   SmallVector<int64_t> shape;
   auto memref = dyn_cast<MemRefType>(type);
@@ -56,8 +56,8 @@ LogicalResult mlir::tai::checkHasDerivative(FunctionOpInterface function,
     takes |= counts && isRead;
     gives |= counts && !isRead;
   });
-  // Without `positions`, writes alone suffice: the adjoint reads the gradient
-  // of a written array.
+  // If no `positions` are given, it is enough that the function writes a field
+  // or an array argument: the adjoint reads the gradient of the written memory.
   if (gives && (takes || positions.empty()))
     return success();
   InFlightDiagnostic diag = function.emitError()

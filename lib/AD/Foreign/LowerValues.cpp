@@ -27,7 +27,8 @@ using namespace mlir::tai;
 // Complex numbers
 //===----------------------------------------------------------------------===//
 
-/// Loops and branches carry and yield the parts of complex numbers instead.
+/// Changes loops and branches so that they carry and yield the real and
+/// imaginary parts of a complex number as two values.
 static LogicalResult splitCarried(func::FuncOp function) {
   MLIRContext *context = function.getContext();
   TypeConverter converter;
@@ -110,7 +111,8 @@ struct OpPair {
 };
 } // namespace
 
-/// Pairs of ops with equal operands and results.
+/// Pairs of an LLVM dialect op and the arith or math op that computes the same,
+/// with equal operands and results.
 static constexpr OpPair kArithmetic[] = {
     {"llvm.fadd", "arith.addf"},
     {"llvm.fsub", "arith.subf"},

@@ -52,8 +52,8 @@ private:
     return offset == 0 ? index
                        : b.createOrFold<arith::AddIOp>(index, constant(offset));
   }
-  /// The indices of a component at `position`, which counts along the last
-  /// dimensions.
+  /// `indices`, moved by `position`: the position of a component is added to
+  /// the last indices.
   SmallVector<Value> move(ValueRange indices, const Position &position) {
     SmallVector<Value> moved(indices);
     size_t first = moved.size() - position.size();
@@ -67,7 +67,8 @@ private:
   static int64_t number(ArrayRef<int64_t> shape, ArrayRef<int64_t> position) {
     return linearize(position, computeSuffixProduct(shape));
   }
-  /// The result of a load where `condition` holds, else `other`.
+  /// Emits a load that runs only where `condition` holds; elsewhere the value
+  /// is `other`. A null condition always holds.
   Value loadIf(Value condition, Value memref, ValueRange indices, Value other) {
     if (!condition)
       return memref::LoadOp::create(b, memref, indices);

@@ -28,7 +28,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The memref operand of an op that accesses one element, or null.
+/// The memref operand of an op that accesses one element of a memref; null for
+/// other ops.
 OpOperand *getArray(Operation *op) {
   if (isa<memref::LoadOp>(op))
     return &op->getOpOperand(0);
@@ -53,7 +54,7 @@ bool isView(Operation *op) {
       op);
 }
 
-/// Emits sizes and indices before an op.
+/// Emits sizes and indices of arrays before an op.
 class Elements {
 public:
   explicit Elements(Operation *before)
@@ -70,7 +71,8 @@ public:
   Value multiply(Value lhs, Value rhs) {
     return b.createOrFold<arith::MulIOp>(lhs, rhs);
   }
-  /// The size of a dimension, from the op that makes the array.
+  /// The size of dimension `dim` of an array, taken from the op that makes the
+  /// array.
   Value getSize(Value array, int64_t dim);
   SmallVector<Value> getSizes(Value array) {
     SmallVector<Value> sizes;
@@ -182,8 +184,8 @@ LogicalResult Elements::step(Value &array, SmallVector<Value> &indices) {
     for (auto [i, index] : llvm::enumerate(indices))
       moved[view.getPermutation().getDimPosition(i)] = index;
   } else {
-    // The offset of a reinterpret_cast counts from the start of the allocation,
-    // not from the source.
+    // The offset of a memref.reinterpret_cast counts from the start of the
+    // underlying allocation, not from the view that is its operand.
     auto cast_ = cast<memref::ReinterpretCastOp>(op);
     while (isView(source.getDefiningOp()))
       source = source.getDefiningOp()->getOperand(0);
@@ -244,7 +246,8 @@ void mlir::tai::serialize(scf::ParallelOp loop) {
       b, loop.getLoc(), loop.getLowerBound(), loop.getUpperBound(),
       loop.getStep(), loop.getInitVals(),
       [&](OpBuilder &nested, Location, ValueRange ivs, ValueRange sums) {
-        // The ops are moved, not copied, so that pointers to them stay valid.
+        // The ops of the body are moved, not copied, so that pointers to them
+        // stay valid.
         for (auto [from, to] : llvm::zip(loop.getInductionVars(), ivs))
           from.replaceAllUsesWith(to);
         Block *body = nested.getInsertionBlock();
@@ -330,7 +333,8 @@ static void expandUpdates(func::FuncOp function) {
                                          atomic.getValue());
     }
     memref::StoreOp::create(b, made, array, indices);
-    // A generic_atomic_rmw returns the new value, an atomic_rmw the old one.
+    // A memref.generic_atomic_rmw returns the new value of the element, a
+    // memref.atomic_rmw the old value.
     op->replaceAllUsesWith(
         ValueRange{isa<memref::GenericAtomicRMWOp>(op) ? made : old});
     op->erase();
@@ -397,7 +401,8 @@ private:
 
   func::FuncOp function;
   DominanceInfo dominance;
-  /// The chosen arrays, each with the arrays that it can be.
+  /// Arrays that a loop carries or a branch chooses, each with all arrays that
+  /// it can stand for at run time.
   llvm::MapVector<Value, SmallVector<Value>> chosen;
   llvm::MapVector<Value, Value> numbers;
 };
@@ -441,7 +446,7 @@ LogicalResult ChosenArrays::collect() {
         if (seen.insert(source->get()))
           pending.push_back(source->get());
     }
-    // Find the first op that makes one of the choices.
+    // Find the first op that carries or chooses one of the arrays in `seen`.
     Operation *first = nullptr;
     for (Value value : seen)
       if (!getSources(value).empty()) {
@@ -533,7 +538,8 @@ void ChosenArrays::replaceUses() {
   }
 }
 
-/// Loops and branches carry and yield numbers in place of arrays.
+/// Changes loops and branches so that they carry and yield the number of an
+/// array in place of the array.
 void ChosenArrays::carryNumbers() {
   Type index = IndexType::get(function.getContext());
   SmallVector<std::pair<OpOperand *, Value>> handed;
@@ -555,8 +561,8 @@ LogicalResult ChosenArrays::run() {
     return failure();
   if (chosen.empty())
     return success();
-  // The number of an array that an arith.select chooses is selected as well;
-  // loops and branches carry other numbers.
+  // For an array that an arith.select chooses, a select of numbers is made
+  // below. Arrays from loops and branches need no op: these carry the number.
   for (auto &[array, grounds] : chosen)
     for (Value ground : grounds)
       getNumber(ground);
@@ -566,14 +572,15 @@ LogicalResult ChosenArrays::run() {
   for (auto &[array, grounds] : chosen)
     if (auto select = array.getDefiningOp<arith::SelectOp>()) {
       OpBuilder b(select);
-      // `chosen` is in program order, so the operands already have their
-      // numbers.
+      // `chosen` is in program order, so the arrays that this select chooses
+      // from already have numbers.
       numbers[array] = arith::SelectOp::create(
           b, select.getLoc(), IndexType::get(b.getContext()),
           select.getCondition(), getNumber(select.getTrueValue()),
           getNumber(select.getFalseValue()));
     }
-  // Done first, so that a comparison of numbers has operands of type index.
+  // Carry numbers first, so that comparisons of numbers get operands of type
+  // index.
   carryNumbers();
   replaceUses();
   for (auto &[array, grounds] : chosen)
@@ -713,8 +720,8 @@ LogicalResult mlir::tai::normalizeMemory(func::FuncOp function) {
   if (failed(expandCopies(function)))
     return failure();
   expandUpdates(function);
-  // The first call folds views of a chosen array, the second one views of the
-  // arrays that it is chosen from.
+  // Views are folded twice: first views of an array that a loop or branch
+  // chooses, then views of the arrays that it is chosen from.
   if (failed(foldViews(function)) || failed(ChosenArrays(function).run()) ||
       failed(foldViews(function)))
     return failure();

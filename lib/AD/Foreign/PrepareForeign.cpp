@@ -55,7 +55,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 //===----------------------------------------------------------------------===//
-// Prepared copies and their originals
+// Copies of functions prepared for differentiation, and their originals
 //===----------------------------------------------------------------------===//
 
 FunctionOpInterface mlir::tai::getOriginal(FunctionOpInterface function) {
@@ -188,7 +188,7 @@ static void lowerSwitches(func::FuncOp function) {
                                       /*withElseRegion=*/true);
       takeRegion(region, branch.getThenRegion());
       if (first) {
-        // Yield the results of this branch from the else region around it.
+        // The else region around this branch yields the results of the branch.
         b.setInsertionPointAfter(branch);
         scf::YieldOp::create(b, branch.getResults());
       } else {
@@ -199,7 +199,8 @@ static void lowerSwitches(func::FuncOp function) {
       b.setInsertionPointToEnd(other);
     }
     if (first) {
-      // The innermost else region takes the default case.
+      // The default case of the scf.index_switch goes into the innermost else
+      // region.
       Block *end = b.getInsertionBlock();
       end->getOperations().splice(end->end(),
                                   op.getDefaultBlock().getOperations());
@@ -257,7 +258,8 @@ private:
     }
     func::FuncOp body = callee.clone();
     OwningOpRef<func::FuncOp> owner(body);
-    // The transformation looks up symbols in the module around the function.
+    // Lifting blocks to structured control flow looks up symbols, so the
+    // function must be in a module meanwhile.
     symbols.getOp()->getRegion(0).front().push_back(body);
     LogicalResult lifted = liftBlocks(body);
     body->remove();
@@ -455,7 +457,8 @@ private:
 };
 } // namespace
 
-/// Allocates memory for a value of this type, with the sizes of `like`.
+/// Allocates a buffer for a value of tensor or scalar type; dynamic sizes are
+/// taken from `like`.
 Value Wrapper::createBuffer(Type type, Value like) {
   MemRefType buffer = getBufferType(type);
   SmallVector<Value> sizes;
@@ -528,8 +531,8 @@ func::FuncOp Wrapper::create(bool isForward) {
   Block *block = wrapper.addEntryBlock();
   b.setInsertionPointToStart(block);
 
-  // The arguments in the order of `inner`: arguments of the original, memory of
-  // results, and the derivatives of both.
+  // Collect the arguments of the call of `inner`, in its order: arguments of
+  // the original function, memory for results, then derivatives of both.
   SmallVector<Value> given, shadows;
   auto extra = block->getArguments().drop_front(count).begin();
   auto values = block->getArguments().take_front(count);
@@ -540,7 +543,8 @@ func::FuncOp Wrapper::create(bool isForward) {
                                   /*read_only=*/true))
                             : Value(value));
     if (!isArray || !hasFloats(value.getType())) {
-      // A memref among the arguments keeps its own shadow, at the end.
+      // For a memref among the original arguments, the caller passes a shadow
+      // (memref of derivatives), which stays among the last arguments.
       continue;
     }
     shadows.push_back(isForward ? createFilled(*extra++)
@@ -548,8 +552,8 @@ func::FuncOp Wrapper::create(bool isForward) {
   }
   SmallVector<Value> outs, outShadows;
   for (Type type : made) {
-    // A result has the sizes of its seed in reverse mode, and static sizes in
-    // forward mode.
+    // The sizes of a result's buffer: in reverse mode, the sizes of the adjoint
+    // that the caller passes; in forward mode, sizes must be static.
     Value like = isForward ? Value() : Value(*extra);
     outs.push_back(createBuffer(type, like));
     outShadows.push_back(isForward ? createZeros(type, like)

@@ -19,26 +19,30 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The numbering of the executions of a block in its traces.
+/// How the executions of one block are numbered. The number is the position of
+/// a recorded value in its trace.
 struct Slot {
-  /// In the primal: the number of the execution.
+  /// In the primal: the number of the present execution of the block.
   Value number;
-  /// In the primal, before the first loop: the number of all executions, or
-  /// null if it cannot be computed there.
+  /// In the primal, before the first loop: the number of all executions of the
+  /// block, or null if it cannot be computed there.
   Value count;
-  /// In the gradient: the memref that holds the number of the next execution.
+  /// In the gradient: the memref that holds the number of the block's next
+  /// execution.
   Value next;
 };
 
 /// A recorded value: the result of a read, or the number at which a loop
 /// begins.
 struct Recorded {
-  /// In the primal: the value, or null for the beginning of a loop.
+  /// In the primal: the value to record; null for the number at which a loop
+  /// begins.
   Value value;
-  /// In the primal: the op that reads the trace.
+  /// In the primal: the op that loads the recorded value from the trace.
   memref::LoadOp fromTrace;
   Block *block;
-  /// For the beginning of a loop: the block whose executions it numbers.
+  /// If the record is the number at which a loop begins: the block whose
+  /// executions are numbered.
   Block *begins = nullptr;
 };
 
@@ -75,7 +79,8 @@ private:
   ImplicitLocOpBuilder b;
   llvm::MapVector<Block *, Slot> slots;
   SmallVector<Recorded> all;
-  /// Maps values of the primal to values of the second execution.
+  /// Maps values of the primal to the values of the second execution, in the
+  /// gradient.
   IRMapping again;
   SmallVector<std::pair<unsigned, Value>> copies;
   SmallVector<Value> toFree;
@@ -153,7 +158,7 @@ void Recorder::serializeLoops(Operation *read) {
     serialize(loop);
 }
 
-/// Makes the loop carry the number of the current iteration.
+/// Makes an scf.while carry the number of the current iteration.
 void Recorder::countIterations(scf::WhileOp loop) {
   if (counted.contains(loop))
     return;
@@ -180,7 +185,7 @@ void Recorder::countIterations(scf::WhileOp loop) {
   counted.insert(made);
 }
 
-/// The trip counts of a loop, one for each dimension.
+/// The trip count of a loop along each of its dimensions.
 SmallVector<Value> Recorder::getTripCounts(Operation *loop) {
   auto count = [&](Value lower, Value upper, Value step) -> Value {
     lower = toIndex(lower);
@@ -200,8 +205,9 @@ SmallVector<Value> Recorder::getTripCounts(Operation *loop) {
   return counts;
 }
 
-/// The number of the current iteration, linearized over the dimensions of the
-/// loop. `block` is the block of the loop that contains the insertion point.
+/// The number of the current iteration of `loop`, linearized over the
+/// dimensions of the loop. `block` is the block of the loop that contains the
+/// insertion point.
 Value Recorder::getIteration(Operation *loop, Block *block) {
   if (isa<scf::WhileOp>(loop))
     return block->getArguments().back();
@@ -232,8 +238,8 @@ memref::LoadOp Recorder::readTrace(Type type, Value number) {
   return memref::LoadOp::create(b, array, number);
 }
 
-/// The numbering of the executions of `block`, the body of a loop or of the
-/// function.
+/// Returns how the executions of `block` are numbered; makes the numbering if
+/// there is none yet. `block` is the body of a loop or of the function.
 Slot &Recorder::getSlot(Block *block) {
   if (auto *it = slots.find(block); it != slots.end())
     return it->second;
@@ -258,7 +264,9 @@ Slot &Recorder::getSlot(Block *block) {
     while (first > 0 && extendsTo(first - 1))
       --first;
     if (first > 0) {
-      // The number at which the nest begins is recorded in a trace of its own.
+      // In each execution, a nest of loops continues the numbering of its
+      // block: the number at which the nest begins is recorded in a trace of
+      // its own.
       Operation *begin = loops[first].first;
       Slot outer = getSlot(getLoopBlock(begin));
       b.setInsertionPoint(begin);
@@ -294,7 +302,8 @@ Slot &Recorder::getSlot(Block *block) {
   b.setInsertionPointToStart(block);
   Value number;
   for (size_t i = first; i < loops.size(); ++i) {
-    // All iteration numbers are computed at the start of `block`.
+    // The iteration numbers of all loops around are computed at the start of
+    // `block`.
     Value one = getIteration(loops[i].first, loops[i].second);
     number = number ? b.createOrFold<arith::AddIOp>(
                           b.createOrFold<arith::MulIOp>(number, sizes[i]), one)
@@ -312,12 +321,14 @@ Slot &Recorder::getSlot(Block *block) {
 // The second execution
 //===----------------------------------------------------------------------===//
 
-/// Runs the function again; in mode Rerun, on copies of the arrays it writes.
+/// Repeats the primal at the start of the gradient: the second execution, whose
+/// values are recorded. In mode Rerun, it writes to copies of the arrays.
 void Recorder::rerun() {
   Block &body = primal.getFunctionBody().front();
   Block &target = gradient.getFunctionBody().front();
   b.setInsertionPointToStart(&target);
-  // Marks the end of the second execution: the reverse sweep follows.
+  // This constant marks the end of the second execution; the reverse sweep will
+  // follow it.
   end = arith::ConstantIndexOp::create(b, 0);
   b.setInsertionPoint(end);
   for (unsigned i = 0, e = primal.getNumArguments(); i != e; ++i) {
@@ -389,7 +400,8 @@ Value Recorder::ensureRoom(Value cell, Value number) {
   return grown.getResult(0);
 }
 
-/// Makes the second execution store the value `what` in a trace.
+/// Makes the second execution store the value `what` in a trace, and adds the
+/// trace to `traces`.
 void Recorder::record(Recorded &what, Traces &traces) {
   Slot &slot = slots[what.block];
   Value number = again.lookup(slot.number);
@@ -399,7 +411,8 @@ void Recorder::record(Recorded &what, Traces &traces) {
     value = again.lookup(what.value);
     b.setInsertionPointAfterValue(value);
   } else {
-    // The loop begins where its previous execution has ended.
+    // For a nest of loops, record the number at which it begins: the number at
+    // which its previous execution has ended.
     Operation *copy = again.lookup(what.fromTrace.getResult()).getDefiningOp();
     b.setInsertionPoint(copy);
     value = memref::LoadOp::create(b, slots[what.begins].next, ValueRange());
@@ -482,7 +495,8 @@ void Recorder::prune() {
       op->erase();
       changed = true;
     }
-    // Erases the values that only the erased ops used.
+    // Erase the ops of the second execution that have become dead because their
+    // users were erased.
     SmallVector<Operation *> ops;
     for (Operation &op : gradient.getFunctionBody().front()) {
       if (&op == end)
@@ -490,7 +504,8 @@ void Recorder::prune() {
       op.walk<WalkOrder::PreOrder>(
           [&](Operation *inner) { ops.push_back(inner); });
     }
-    // Inner ops before outer ones, and users before their operands.
+    // In reverse, so that inner ops are visited before the ops around them, and
+    // users before the ops that make their operands.
     for (Operation *op : llvm::reverse(ops))
       if (isOpTriviallyDead(op)) {
         op->erase();
@@ -516,8 +531,8 @@ Traces Recorder::run(ArrayRef<Operation *> reads) {
     traces.recorded[value] = fromTrace;
   }
   rerun();
-  // The number at which a loop begins is the end of its previous execution,
-  // which `next` holds.
+  // `next` starts at zero. Each nest of loops begins at the number that its
+  // previous execution has left there.
   b.setInsertionPointToStart(&gradient.getFunctionBody().front());
   for (Recorded &what : all)
     if (what.begins) {

@@ -27,23 +27,24 @@
 namespace mlir::tai {
 
 struct Traces {
-  /// The results of recorded reads, each with the value in the trace.
+  /// Maps the result of each recorded read to the value that is loaded from its
+  /// trace.
   DenseMap<Value, Value> recorded;
-  /// Arguments that stand for traces in the primal, and the traces in the
-  /// gradient.
+  /// Pairs of an argument of the primal that stands for a trace, and the trace
+  /// itself in the gradient.
   SmallVector<std::pair<Value, Value>> arrays;
-  /// The positions of arguments whose former elements the second execution
-  /// reads.
+  /// Positions of array arguments that must be passed as they were before the
+  /// function ran, because the second execution reads them.
   SmallVector<int64_t> before;
 };
 
-/// Where the traces are made.
+/// The function in which the second execution takes place and traces are made.
 enum class TraceMode {
-  /// The gradient runs the function again at its beginning, on copies of the
-  /// arrays that it writes.
+  /// The gradient begins with the second execution, which writes to copies of
+  /// the arrays.
   Rerun,
-  /// A separate function repeats the whole function, and returns the results of
-  /// the function and then the traces.
+  /// A separate function is the second execution; it returns the results of the
+  /// original function, and then the traces.
   Augmented
 };
 

@@ -39,8 +39,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The attribute of a primal function that names its forward-mode copy. See
-/// getFunctionAttrName.
+/// The key for getFunctionAttrName of the attribute by which a primal function
+/// names its forward-mode copy.
 static constexpr StringLiteral kTangent = "tangent";
 
 static bool hasTangentAlready(FunctionOpInterface function) {
@@ -79,7 +79,8 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
         failed(checkNested(getOperation())))
       return signalPassFailure();
     bool failedAny = false;
-    // Continue after a failure, to report the errors of all functions.
+    // After a failure, go on with the next function, so that the errors of all
+    // functions are reported.
     for (FunctionOpInterface function : functions)
       failedAny |= failed(differentiate(function, symbols));
     erasePrepared(getOperation());
@@ -186,8 +187,8 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
                  ? Storage(field.getDualAttr())
                  : Storage();
     };
-    // The stores that iterations can race for: one iteration must provide both
-    // the value and the tangent of an element.
+    // Find the stores by which several iterations may write one element. The
+    // value and the tangent of the element must come from the same iteration.
     auto changesTangent = [&](DifferentiableAccessInterface store) {
       return tangentOf(store.getAccessedStorage()) &&
              !matchPattern(store.getAccessedValue(), m_Constant());

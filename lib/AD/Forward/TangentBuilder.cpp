@@ -133,7 +133,8 @@ LogicalResult TangentBuilder::extendBlock(Block *block) {
     if (!op.hasTrait<OpTrait::IsTerminator>())
       ops.push_back(&op);
   LogicalResult result = success();
-  // Continue after a failure, to report the errors of all ops.
+  // After a failure, go on with the next op, so that the errors of all ops are
+  // reported.
   for (Operation *op : ops) {
     setLoc(op->getLoc());
     setInsertionPointAfter(op);
@@ -247,7 +248,8 @@ std::optional<LogicalResult> TangentBuilder::extendLocal(Operation *op) {
     if (!isVaried(storage))
       return success();
     if (isa<MemRefType>(storage.getType()) && failed(checkUsers(storage))) {
-      // Accesses to this array must not report the error again.
+      // Enter the array as its own shadow, so that further accesses to it do
+      // not report the error again.
       shadows[storage] = storage;
       return failure();
     }
@@ -292,7 +294,7 @@ std::optional<LogicalResult> TangentBuilder::extendLocal(Operation *op) {
 }
 
 //===----------------------------------------------------------------------===//
-// Iterations that access one element
+// Queries: does each iteration access elements of its own?
 //===----------------------------------------------------------------------===//
 
 bool TangentBuilder::isExclusive(Operation *op) {

@@ -22,14 +22,16 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// One walk over the function, which adds values to both sets of TangentFlow.
+/// One walk over the function, which adds values to the two sets of
+/// TangentFlow: values that may have a tangent, and values whose tangent may be
+/// non-finite.
 class FlowWalk {
 public:
   FlowWalk(TangentFlow &flow, FloatFacts &facts,
            function_ref<bool(Storage)> hasTangent)
       : flow(flow), facts(facts), hasTangent(hasTangent) {}
 
-  /// Returns true if a set has grown.
+  /// Walks over the function once. Returns true if a set of values has grown.
   bool run(FunctionOpInterface function) {
     grown = false;
     function.walk<WalkOrder::PreOrder>([&](Operation *op) { visit(op); });
@@ -49,7 +51,7 @@ private:
     if (mayBeNonFinite)
       grown |= flow.nonFinite.insert(value).second;
   }
-  /// If `from` may have a tangent, so may `to`.
+  /// Notes that `to` may have a tangent if `from` may have one.
   void pass(Value from, Value to) {
     if (flow.varied.contains(from))
       mark(to, flow.nonFinite.contains(from));
@@ -108,7 +110,7 @@ void FlowWalk::visit(Operation *op) {
   for (OpOperand &operand : op->getOpOperands()) {
     Value value = operand.get();
     usesNonFinite |= facts.mayBeNonFinite(value);
-    // Views count as well: a view of an array passes on the array's tangents.
+    // An operand can also be an array: a view passes on the array's tangents.
     if (!flow.varied.contains(value) || !carriesDerivative(operand))
       continue;
     isVaried = true;

@@ -50,7 +50,8 @@ static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
     if (parallel.isStructFor()) {
       FieldLayout layout =
           *getFieldLayout(lookupField(parallel, parallel.getFieldAttr()));
-      // The active cells of a sparse field are not known at compile time.
+      // A loop over the active cells of a sparse field has no trip count that
+      // is known at compile time.
       if (parallel.getLevel() || layout.path.getFirstSparse())
         return std::nullopt;
       return layout.shape[dim];
@@ -77,7 +78,8 @@ static Operation *findRepeatingLoop(DifferentiableAccessInterface access) {
   Operation *op = access;
   for (Operation *parent = op->getParentOp();
        isa<ParallelForOp, scf::ForOp>(parent); parent = parent->getParentOp()) {
-    // Indices that the body computes can differ in each iteration.
+    // Each index must consist of loop indices and values from outside of the
+    // loop: other values can differ in each iteration.
     for (const IndexExpr &index : indices)
       if (!index.allOf([&](Value value) {
             return isa<BlockArgument>(value) ||

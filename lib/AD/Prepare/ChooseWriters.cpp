@@ -54,11 +54,12 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The owners of a storage with more elements are not computed.
+/// The greatest number of elements for which a buffer of owners is allocated.
 static constexpr int64_t kMaxElements = int64_t(1) << 28;
 
 namespace {
-/// The indices and components of the element that an access reaches.
+/// The position of an accessed element: its indices, and the indices of its
+/// component.
 struct Place {
   SmallVector<Value> indices, components;
 
@@ -122,22 +123,23 @@ static bool mayMeet(ParallelForOp loop, DifferentiableAccessInterface first,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The accesses of a parallel loop to a storage in which different iterations
-/// may access one element.
+/// The accesses of a parallel loop to one storage in which several iterations
+/// may write the same element.
 struct OpenStorage {
   SmallVector<DifferentiableAccessInterface> stores;
-  /// `others` may reach elements that other iterations write; `sums` accumulate
-  /// to an element that belongs to their iteration.
+  /// `others`: accesses that may reach elements that other iterations write.
+  /// `sums`: accumulations to an element that belongs to the iteration.
   SmallVector<DifferentiableAccessInterface> others, sums;
-  /// Whether stores of different iterations may reach one element.
+  /// Whether stores of two different iterations may reach the same element.
   bool collides = false;
-  /// Whether stores and `sums` of different iterations may reach one element,
-  /// which would then have several owners.
+  /// Whether a store and an accumulation in `sums` may reach the same element
+  /// in different iterations. The element would then have several owners.
   bool isMixed = false;
-  /// Whether a derivative passes through a store.
+  /// Whether a derivative passes through one of the stores.
   bool isActive = false;
 
-  /// The accesses that make an iteration the owner of an element.
+  /// The accesses (stores and sums) by which an iteration becomes the owner of
+  /// the element that it writes.
   SmallVector<DifferentiableAccessInterface> getClaims() const {
     SmallVector<DifferentiableAccessInterface> claims(stores);
     llvm::append_range(claims, sums);
@@ -150,8 +152,8 @@ static bool isConstant(DifferentiableAccessInterface store) {
   return matchPattern(store.getAccessedValue(), m_Constant());
 }
 
-/// True if two of the stores may reach one element in different iterations. Two
-/// stores of constants do not count: neither leaves a derivative.
+/// True if two of `stores` may reach the same element in different iterations.
+/// Two stores of constants do not count: neither leaves a derivative.
 static bool anyMeet(ParallelForOp loop,
                     ArrayRef<DifferentiableAccessInterface> stores) {
   for (size_t i = 0; i != stores.size(); ++i)
@@ -268,19 +270,22 @@ public:
   LoopWriters(ParallelForOp loop, SmallVector<OpenStorage> open)
       : loop(loop), open(std::move(open)), b(loop.getLoc(), loop) {}
 
-  /// False if the owners cannot be computed before the loop.
+  /// Emits the code that computes the owners of elements before the loop, and
+  /// restricts the stores of the loop to owners. False if the owners cannot be
+  /// computed before the loop.
   bool decide();
-  /// Makes the loop run on one thread instead.
+  /// The alternative to decide(): makes the loop run on one thread, in order.
   LogicalResult serialize(bool isReversed);
 
 private:
-  /// A dimension of the buffer of owners.
+  /// One dimension of the buffer that holds the owners of elements.
   struct Dimension {
     unsigned position;
     int64_t first = 0;
     Value extent;
   };
-  /// The elements of a storage that have owners.
+  /// The elements of one storage that have owners, and the buffer of the
+  /// owners.
   struct Owned {
     SmallVector<Dimension> dimensions;
     Value owners;
@@ -305,13 +310,15 @@ private:
   ParallelForOp loop;
   SmallVector<OpenStorage> open;
   ImplicitLocOpBuilder b;
-  /// The lower bound and the number of iterations of each dimension.
+  /// For each dimension of the loop, its lower bound and its number of
+  /// iterations.
   SmallVector<Value> lower, extents;
   IntegerType type;
   /// The copy of the loop that computes the owners.
   ParallelForOp decision;
   IRMapping copies;
-  /// Whether the owners depend on the result of an op with a side effect.
+  /// Set if the owners cannot be computed before the loop because they depend
+  /// on the result of an op with a side effect.
   bool needsUpdate = false;
 };
 } // namespace
@@ -322,7 +329,8 @@ static SmallVector<Value> getPosition(DifferentiableAccessInterface access) {
   return position;
 }
 
-/// Fails if some accesses reach whole elements and others reach components.
+/// Finds the dimensions of the buffer of owners. Returns false if some accesses
+/// reach whole elements and others reach single components.
 bool LoopWriters::findDimensions(const OpenStorage &storage, Owned &owned) {
   SmallVector<DifferentiableAccessInterface> accesses = storage.getClaims();
   llvm::append_range(accesses, storage.others);
@@ -395,7 +403,7 @@ void LoopWriters::countIterations() {
       b.getIntegerType(known <= std::numeric_limits<int32_t>::max() ? 32 : 64);
 }
 
-/// The row-major number of the iteration with indices `ivs`.
+/// The row-major number of the iteration whose loop indices are `ivs`.
 Value LoopWriters::createNumber(OpBuilder &builder, ValueRange ivs) {
   ImplicitLocOpBuilder at(loop.getLoc(), builder);
   Value number = arith::ConstantIndexOp::create(at, 0);
@@ -473,8 +481,8 @@ static bool reduceTo(ParallelForOp copy, const DenseSet<Operation *> &kept) {
   return effects.empty();
 }
 
-/// In the copy: the iteration becomes the owner of the elements that it
-/// writes.
+/// Emits, in the copy of the loop that decides the owners: this iteration
+/// becomes the owner of the elements that it writes, if its number is greater.
 void LoopWriters::claim(const OpenStorage &storage, const Owned &owned,
                         const IRMapping &copies, Value number) {
   for (DifferentiableAccessInterface write : storage.getClaims()) {
@@ -536,8 +544,8 @@ void LoopWriters::restrict(const OpenStorage &storage, const Owned &owned,
   }
 }
 
-/// True if `read` returns the same value in the copy of the loop and in the
-/// loop.
+/// True if `read` returns the same value in the copy of the loop that decides
+/// the owners as in the loop itself.
 static bool isUnchanged(DifferentiableAccessInterface read,
                         ParallelForOp loop) {
   const void *key = getStorageKey(read);
@@ -655,8 +663,8 @@ LogicalResult LoopWriters::serialize(bool isReversed) {
   }
   FieldLayout layout = *getFieldLayout(lookupField(loop, loop.getFieldAttr()));
   if (layout.path.getFirstSparse() || loop.getLevel()) {
-    // The adjoint needs the result of the op with an effect as well, and
-    // reports why it cannot have it.
+    // If the owners depend on the result of an op with a side effect, the
+    // adjoint needs that result too, and will report the error.
     if (needsUpdate &&
         llvm::all_of(open, [](auto &storage) { return storage.isActive; }))
       return success();
@@ -696,7 +704,7 @@ LogicalResult LoopWriters::serialize(bool isReversed) {
 
 LogicalResult mlir::tai::chooseWriters(FunctionOpInterface function,
                                        StoreFilter matters, bool isReversed) {
-  // Analyze all loops before any of them is changed.
+  // Analyse all loops before changing any of them.
   SmallVector<std::pair<ParallelForOp, SmallVector<OpenStorage>>> loops;
   for (ParallelForOp loop : getParallelLoops(function))
     if (SmallVector<OpenStorage> open = findOpen(loop, matters, isReversed);
@@ -736,8 +744,8 @@ struct ChooseWriters
       return chooseWriters(function, isActive, /*isReversed=*/true);
     if (!hasOpenStores(kernel, isActive, /*isReversed=*/true))
       return success();
-    // The kernel itself stays as it is: without a tape it does not matter whose
-    // value remains.
+    // The kernel without a tape stays as it is, because it does not matter
+    // there which iteration's value remains. The tape gets a copy with owners.
     KernelOp part = kernel.clone();
     part.setSymName((kernel.getSymName() + ".0").str());
     part.setPartOfAttr(FlatSymbolRefAttr::get(kernel.getSymNameAttr()));

@@ -30,9 +30,10 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The minimum or maximum as a select, in which `value` wins a tie. The ops for
-/// minimum and maximum commute: canonicalization would make a constant `old`
-/// their second operand, which wins a tie. NaN is propagated.
+/// The minimum or maximum of `old` and `value` as a compare and a select, in
+/// which `value` wins a tie. An op for minimum or maximum would not do: it
+/// commutes, and canonicalization makes a constant `old` its second operand, to
+/// which a tie gives the derivative. NaN is propagated.
 static Value choose(OpBuilder &b, Location loc, arith::CmpFPredicate wins,
                     Value old, Value value) {
   Value stays = arith::CmpFOp::create(b, loc, wins, old, value);
@@ -42,12 +43,14 @@ static Value choose(OpBuilder &b, Location loc, arith::CmpFPredicate wins,
   return arith::SelectOp::create(b, loc, stays, old, value);
 }
 
-/// The updated element. In a tie of minimum and maximum, `value` wins.
+/// The element after the update: `old` combined with `value`. In a tie of
+/// minimum and maximum, `value` wins.
 static Value combine(OpBuilder &b, AtomicOp atomic, Value old, Value value) {
   Location loc = atomic.getLoc();
   AtomicKind kind = atomic.getKind();
   bool isFloat = isFloatOrVector(value.getType());
-  // If a tie is split in halves, the order of the operands does not matter.
+  // Under the convention that splits ties in halves, the order of the operands
+  // of minimum and maximum does not matter.
   bool isOrdered = isFloat && !Conventions::of(atomic).splitTies;
   switch (kind) {
   case AtomicKind::Add:

@@ -62,7 +62,8 @@ static bool isWrite(DifferentiableAccessInterface access) {
   return access.getAccessKind() != AccessKind::Read;
 }
 
-/// True if the value is the same throughout one run of the scope.
+/// True if `value` is defined in the scope's block or outside of it, not in a
+/// nested region: it does not change during one run of the scope.
 bool Scope::isVisible(Value value) {
   return value.getParentBlock()->getParentOp()->isAncestor(
       block->getParentOp());
@@ -74,7 +75,8 @@ bool Scope::sees(ArrayRef<IndexExpr> forms) {
   });
 }
 
-/// True if the access is made whenever the scope runs.
+/// True if each run of the scope executes `access`: it is under no condition,
+/// and in no loop that is possibly empty.
 bool Scope::isCertain(Operation *access) {
   for (Operation *up = access; up->getBlock() != block;
        up = up->getParentOp()) {
@@ -88,8 +90,8 @@ bool Scope::isCertain(Operation *access) {
   return true;
 }
 
-/// True if neither the memory before the scope nor the memory after it holds
-/// all values that the group reads.
+/// True if the group needs a variable: neither the memory before the scope runs
+/// nor the memory afterwards holds all values that the group reads.
 bool Scope::needsVariable(const Group &group) {
   bool lost = false, changed = false;
   for (DifferentiableAccessInterface read : group.accesses) {
@@ -104,14 +106,15 @@ bool Scope::needsVariable(const Group &group) {
   return lost && changed;
 }
 
-/// True if no other iteration of the parallel loop around can touch the
-/// element.
+/// True if no other iteration of the enclosing parallel loop can access the
+/// element of the group.
 bool Scope::isOwned(Group &group) {
   if (llvm::any_of(group.accesses, [&](auto access) {
         return access.getAccessKind() == AccessKind::Write && isCertain(access);
       }))
     return true;
-  // To store a variable back could activate a cell of a sparse field.
+  // The element of a sparse field is not kept in a variable: storing the
+  // variable back could activate a cell.
   if (FlatSymbolRefAttr name =
           group.accesses.front().getAccessedStorage().field) {
     FieldLayout layout =
@@ -119,7 +122,7 @@ bool Scope::isOwned(Group &group) {
     if (layout.path.getFirstSparse())
       return false;
   }
-  // Other blocks of the loop may access the element, too.
+  // Accesses of the element in other blocks of the parallel loop count as well.
   Operation *loop = getOutermostParallelLoop(block->getTerminator());
   if (!loop)
     return true;
@@ -139,8 +142,8 @@ bool Scope::canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
       }))
     return false;
   for (DifferentiableAccessInterface access : group.accesses) {
-    // Updates other than `tai.atomic` may return another value than the former
-    // one.
+    // An update can be replaced only if its result is the former value of the
+    // element, as that of `tai.atomic` is, or is unused.
     if (access.getAccessKind() == AccessKind::Update ||
         (access.getAccessKind() == AccessKind::Accumulate &&
          !isa<AtomicOp>(access) && !access->use_empty()))
@@ -162,8 +165,8 @@ bool Scope::canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
   return isOwned(group);
 }
 
-/// An access of the group whose indices are computed before the first access of
-/// the group; null if there is none.
+/// An access of the group whose index operands are computed before the group's
+/// first access, so that the variable can be loaded there; or null.
 DifferentiableAccessInterface Scope::findLeader(const Group &group) {
   Operation *before = block->findAncestorOpInBlock(*group.accesses.front());
   auto isKnown = [&](Value value) {
@@ -243,7 +246,8 @@ void Scope::run() {
         group = &groups.emplace_back(Group{indices, components, {}});
       group->accesses.push_back(access);
     }
-    // Rewrite one group, then look at the remaining accesses again.
+    // After one group has been rewritten, the remaining accesses must be
+    // grouped again.
     for (Group &group : groups)
       if (DifferentiableAccessInterface leader = findLeader(group);
           leader && canLive(group, all)) {
@@ -253,8 +257,8 @@ void Scope::run() {
   }
 }
 
-/// Runs on the blocks of a function, from the outermost. Arms of branches are
-/// scopes too: they own the elements that they store.
+/// Handles the blocks of a function as scopes, outermost first. The arms of
+/// branches are scopes too: elements that they store are their own.
 static void visit(Block &block) {
   Scope(&block).run();
   for (Operation &op : block)

@@ -25,7 +25,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The values that depend on `source` other than through memory.
+/// The values computed from `source`, directly or through other values, but not
+/// through memory.
 static DenseSet<Value> getDependents(Value source) {
   DenseSet<Value> found;
   SmallVector<Value> worklist = {source};
@@ -53,7 +54,8 @@ static DenseSet<Value> getDependents(Value source) {
 }
 
 namespace {
-/// The ops from a source to values, and the other values that they read.
+/// The ops by which the values to differentiate depend on `source`, and the
+/// other values that these ops read.
 struct Path {
   llvm::SetVector<Operation *> ops;
   llvm::SetVector<Value> captured;
@@ -113,7 +115,8 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
   if (path->ops.empty())
     return SmallVector<SmallVector<Value>>(positions.size(), nothing);
 
-  // The arguments: the source, its tangent, then the captured values.
+  // The function's arguments: memory of the source, memory of its tangent, then
+  // the captured values.
   auto memory = MemRefType::get({}, type);
   SmallVector<Type> inputs = {memory, memory};
   for (Value value : path->captured)
@@ -135,15 +138,15 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
     into.map(value, argument);
   for (Operation *op : path->ops)
     inner.clone(*op, into);
-  // Forward mode rebuilds loops and branches: the operands of this return
-  // follow their new results.
+  // The operands of this return are the values to differentiate. Forward mode
+  // rebuilds loops and branches, and keeps these operands up to date.
   auto ends = func::ReturnOp::create(
       inner, loc, llvm::map_to_vector(values, [&](Value value) {
         return into.lookup(value);
       }));
 
-  // A function that cannot be extended is no error: the product is then
-  // differentiated by the rules of its ops.
+  // If forward mode cannot extend the function, no error is reported: the
+  // product is then differentiated by the rules of its ops.
   SilencedDiagnostics silence(builder.getContext());
   auto extended = cast<FunctionOpInterface>(holder->getOperation());
   TangentBuilder tangents(extended, [&](Storage storage) -> Storage {
@@ -172,7 +175,8 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
         arith::ConstantOp::create(builder, DenseElementsAttr::get(type, seed));
     IRMapping out = known;
     for (Operation &op : body->without_terminator()) {
-      // The function reads nothing but the source and its tangent.
+      // The only loads of the function are those of the source and of its
+      // tangent.
       if (auto read = dyn_cast<memref::LoadOp>(op))
         out.map(read.getResult(),
                 read.getMemref() == body->getArgument(0) ? stopped : direction);

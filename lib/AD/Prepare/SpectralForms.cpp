@@ -48,7 +48,8 @@ struct Chain {
   SmallVector<Value> scales;
 };
 
-/// The positions of the two factors of a decomposition in a chain.
+/// The positions, in a chain of matrix products, of the two factors (U, V or
+/// their transposes) of one decomposition.
 struct Span {
   size_t first, last;
 };
@@ -188,8 +189,8 @@ bool DiagonalMatrices::find(Value matrix) {
       .Default(false);
 }
 
-/// The first F M Hᵀ from `begin` on, where F and H are factors of one
-/// decomposition and M, if there is one, is diagonal.
+/// Finds in `factors`, from `begin` on, the first product F M Hᵀ where F and H
+/// are factors of one decomposition and M, which may be missing, is diagonal.
 static std::optional<Span> findFrame(ArrayRef<Factor> factors, size_t begin) {
   DiagonalMatrices diagonal;
   for (size_t first = begin; first != factors.size(); ++first) {
@@ -215,9 +216,9 @@ Value mlir::tai::createConstantForm(ImplicitLocOpBuilder &builder,
   return DeriveAsOp::create(builder, type, value, zero);
 }
 
-/// numerator / divisor, or `slope`, the derivative of the numerator by the
-/// divisor, where the two differ by no more than rounding. For two values at a
-/// distance δ, the error of the quotient is ε/δ, and that of `slope` is δ².
+/// Emits numerator / divisor; or, where the result is more accurate, `slope`,
+/// the derivative of the numerator by the divisor. For two values at a distance
+/// δ, the error of the quotient is ε/δ, and the error of `slope` is δ².
 S FormMaker::createQuotient(S numerator, S divisor, S slope, S noise, S floor) {
   Value isSmooth =
       arith::CmpFOp::create(b, arith::CmpFPredicate::OLE,
@@ -226,7 +227,8 @@ S FormMaker::createQuotient(S numerator, S divisor, S slope, S noise, S floor) {
   return {&b, arith::SelectOp::create(b, isSmooth, slope.v, quotient.v)};
 }
 
-/// Uᵀ dR V as a function that is linear in A and M, null if there is none.
+/// Emits Uᵀ dR V as a function that is linear in A and M; null if no such form
+/// is found.
 Value FormMaker::createMiddle(Operation *decomposition,
                               ArrayRef<Factor> factors,
                               ArrayRef<Value> diagonal) {
@@ -286,8 +288,8 @@ Value FormMaker::createMiddle(Operation *decomposition,
         S noise = epsilon * (sizes + abs(by) * both);
         return createQuotient(numerator, divisor, by, noise, floor);
       };
-      // A derivative by the difference or the sum of two values is half of a
-      // sum of partial derivatives.
+      // A derivative by the difference or the sum of two singular values is
+      // half of the difference or sum of the partial derivatives by the two.
       S own = slope(j, j) + slope(i, i), other = slope(j, i) + slope(i, j);
       S difference = makeQuotient(m[j] - m[i], sigma[j] - sigma[i],
                                   0.5 * (own - other), even);
@@ -316,8 +318,9 @@ Value FormMaker::createMiddle(Operation *decomposition,
   return vector::FromElementsOp::create(b, type, entries);
 }
 
-/// F M Hᵀ, differentiated as a form that is linear in A and M; null if it
-/// cannot be. `known` is its value, or null if it is not computed yet.
+/// Emits the product F M Hᵀ so that it is differentiated as a form that is
+/// linear in A and M; null if that is impossible. `known` is the value of the
+/// product, or null if it is not computed yet.
 Value FormMaker::createCore(ArrayRef<Factor> factors, Value known) {
   Operation *decomposition = getDecomposition(factors.front().matrix);
   auto type = cast<VectorType>(factors.front().matrix.getType());
@@ -425,7 +428,7 @@ void mlir::tai::dropForms(FunctionOpInterface function) {
   });
   if (forms.empty())
     return;
-  // Users come before their operands.
+  // Erase dead ops, users before the ops that make their operands.
   function.walk<WalkOrder::PostOrder, mlir::ReverseIterator>([](Operation *op) {
     if (isOpTriviallyDead(op))
       op->erase();

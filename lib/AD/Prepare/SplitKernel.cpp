@@ -34,8 +34,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The segment number of an op at the top level without effects, which any part
-/// may repeat.
+/// In place of a segment number: an op at the top level of the kernel that has
+/// no side effects, so that several parts may repeat it.
 constexpr int kShared = -1;
 
 /// True if an op inside of `op` has a side effect other than a read.
@@ -58,8 +58,8 @@ static bool holdsParallelLoop(Operation *op) {
       .wasInterrupted();
 }
 
-/// The segments of the ops at the top level. Consecutive serial ops form one
-/// segment.
+/// Numbers the segments of a kernel: returns the segment of each op at its top
+/// level. Consecutive serial ops form one segment.
 static SmallVector<int> findSegments(KernelOp kernel, int &count) {
   SmallVector<int> segments;
   count = 0;
@@ -110,7 +110,7 @@ static bool sharesStorage(KernelOp kernel, ArrayRef<int> segments) {
 static bool needsParts(KernelOp kernel) {
   SilencedDiagnostics silence(kernel.getContext());
   OpBuilder builder(kernel);
-  // Arrays that are passed to the kernel have no adjoints in this trial.
+  // In this trial adjoint, array arguments of the kernel have no adjoints.
   FailureOr<AdjointSignature> signature =
       AdjointSignature::get(kernel, /*arrays=*/false);
   if (failed(signature))
@@ -232,8 +232,8 @@ LogicalResult Splitter::check() {
   return result;
 }
 
-/// A part has no results: removes them from the values by which the part is
-/// differentiated.
+/// The parts of a split kernel have no results: removes results from the
+/// positions by which `part` is differentiated.
 static void dropResults(KernelOp part) {
   DenseI64ArrayAttr positions = part.getGradientsAttr();
   if (!positions)

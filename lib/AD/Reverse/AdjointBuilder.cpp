@@ -71,7 +71,7 @@ LogicalResult AdjointBuilder::build() {
 }
 
 //===----------------------------------------------------------------------===//
-// Delegation to the parts of the builder
+// Methods of AdjointBuilder that forward to its parts
 //===----------------------------------------------------------------------===//
 
 Value AdjointBuilder::getPrimal(Value value) {
@@ -171,7 +171,8 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   Frame frame(current, primal, mirror);
   current = &frame;
   begin(frame);
-  // Two placeholder ops mark insertion points until the block is complete.
+  // Two placeholder ops mark where recomputed values and where the sweep are
+  // inserted, until the block is complete.
   auto createMarker = [&] { return createConstant(getF32Type(), 0); };
   frame.recomputeBegin = createMarker().getDefiningOp();
   frame.sweepBegin = createMarker().getDefiningOp();
@@ -353,7 +354,8 @@ static bool collectMakers(AdjointBuilder &b, Value value,
     if (makers.size() > kMany)
       return false;
     if (auto read = dyn_cast<DifferentiableAccessInterface>(op)) {
-      // An overwritten element has the adjoint of its new value here.
+      // The read must not be of an element that is overwritten later: here, the
+      // adjoint of the element would be that of the new value.
       if (b.mayBeOverwritten(read))
         return false;
       continue;

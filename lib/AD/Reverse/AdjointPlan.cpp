@@ -28,8 +28,8 @@ AdjointZeroing::AdjointZeroing(FunctionOpInterface primal,
       if (access.getAccessKind() == AccessKind::Write)
         writes.push_back(access);
     }
-    // An array that the function allocates has no adjoint if no access is
-    // active.
+    // An array that the function allocates gets no adjoint if none of its
+    // accesses is active, and so there is nothing to zero.
     DifferentiableAccessInterface first = list.front();
     Value array = first.getAccessedStorage().memref;
     if (array && !isa<BlockArgument>(array) && active.empty())

@@ -20,7 +20,7 @@ FailureOr<bool> AdjointPlanner::settle(const PrimalDemands &demands) {
   before.clear();
   for (Operation *draw : demands.draws)
     hasGrown |= larger.addRecorded(draw);
-  // Storages in the order of the program.
+  // Group the reads by storage, with storages in program order.
   llvm::MapVector<const void *, SmallVector<DifferentiableAccessInterface>>
       byStorage;
   for (auto &[storage, list] : plan.accesses.getStorages())
@@ -69,8 +69,8 @@ bool AdjointPlanner::findsStored(ArrayRef<Operation *> stores) const {
   });
 }
 
-/// Requests a record of these reads, if their values are no longer in memory
-/// when the adjoint runs. Returns whether it has requested one.
+/// Requests a record of `reads` if their values are no longer in memory when
+/// the adjoint runs. Returns whether a record was requested.
 bool AdjointPlanner::chooseRecorded(
     ArrayRef<DifferentiableAccessInterface> reads) {
   if (!plan.local.toRecord)

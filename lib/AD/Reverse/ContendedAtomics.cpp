@@ -122,7 +122,7 @@ LogicalResult ContendedAtomics::check(FunctionOpInterface kernel,
   return failure(result.wasInterrupted());
 }
 
-/// The range of a loop along one dimension, as indices.
+/// Describes the range of a loop along one dimension by values of type index.
 static CountedLoop countLoop(AdjointBuilder &b, Value iv, Value lower,
                              Value upper, Value step) {
   auto toIndex = [&](Value value) -> Value {
@@ -131,7 +131,8 @@ static CountedLoop countLoop(AdjointBuilder &b, Value iv, Value lower,
                : b.createOrFold<arith::IndexCastOp>(b.getIndexType(), value);
   };
   lower = toIndex(lower);
-  // The extent is unsigned: it may exceed the signed range.
+  // The extent (upper bound less lower bound) is unsigned: it may exceed the
+  // range of signed numbers.
   Value extent = b.createOrFold<arith::SubIOp>(
       b.createOrFold<arith::MaxSIOp>(toIndex(upper), lower), lower);
   if (step && matchPattern(step, m_One()))
@@ -260,12 +261,13 @@ LogicalResult ContendedAtomics::keepValues(FunctionOpInterface kernel,
                             [&](Value iv) { return mapping.lookup(iv); });
       group.keepValue(kept[atomic], place, run);
     }
-  // Done first, so that no values are requested for the erased ops.
+  // Remove effects before anything else, so that no values are requested for
+  // the erased ops.
   if (failed(removeEffects(b, copy, originals))) {
     copy->erase();
     return failure();
   }
-  // The values from outside of the loop, and the reads inside of it.
+  // Collect the values that the copied loop uses, and the reads that it makes.
   llvm::SetVector<Value> used;
   llvm::SetVector<Operation *> reads;
   copy->walk([&](Operation *op) {

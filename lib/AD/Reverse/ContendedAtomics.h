@@ -19,8 +19,8 @@
 
 namespace mlir::tai {
 
-/// A loop around an atomic, along one dimension: its index in the primal, and
-/// its range in the adjoint. A null step is one.
+/// One dimension of a loop around an atomic: its induction variable in the
+/// primal, and its range in the adjoint. A null step means 1.
 struct CountedLoop {
   Value iv;
   Value lower, step, extent;
@@ -34,7 +34,8 @@ struct KeptValues {
   Value size, values, elements;
 };
 
-/// The updates of one kind of one field in one parallel loop.
+/// Emits the adjoint of all contended updates of one kind to one field in one
+/// parallel loop.
 class Contention {
 public:
   Contention(AdjointBuilder &b, ParallelForOp loop, AtomicKind kind)
@@ -43,23 +44,24 @@ public:
   void add(AtomicOp atomic) { atomics.push_back(atomic); }
   MutableArrayRef<AtomicOp> getAtomics() { return atomics; }
 
-  /// Allocates the buffers over elements.
+  /// Allocates the buffers that have an entry for each element of the field.
   LogicalResult prepare();
   KeptValues createKept(ArrayRef<CountedLoop> loops);
-  /// Stores the value of `copy`, the atomic in a copy of the loop. `run` is its
-  /// position in the buffers.
+  /// Emits, after `copy` (the atomic in a copy of the loop), stores of its
+  /// value and element. `run` is their position in the buffers.
   void keepValue(const KeptValues &kept, AtomicOp copy, Value run);
-  /// Replaces the kept values by their adjoints, and the adjoint of each
-  /// element by the adjoint of the element's value before the loop.
+  /// Emits the loops that replace each kept value by its adjoint, and the
+  /// adjoint of each element by the adjoint of the element's value before the
+  /// loop.
   void createAdjoints(ArrayRef<KeptValues> kept);
 
 private:
-  /// One dimension of the elements.
+  /// One dimension of the set of elements that are updated.
   struct Dimension {
     Value fixed; // null unless all updates have the same index
     int64_t first, extent;
   };
-  /// The current position of a loop over elements.
+  /// The element at which a loop over all elements currently is.
   struct Element {
     Value number;
     SmallVector<Value> indices, components;
@@ -96,13 +98,15 @@ private:
   ParallelForOp loop;
   AtomicKind kind;
   SmallVector<AtomicOp> atomics;
-  /// The type of the arithmetic: at least f32.
+  /// The type in which adjoints are computed: that of the field, but at least
+  /// f32.
   Type real;
   SmallVector<Dimension> dimensions;
   unsigned rank = 0; // of the field, without its components
   /// Buffers with an entry for each element. `total`: the extreme value, or the
-  /// product of the non-zero factors. `count`: how many values equal the
-  /// extreme one, or are zero. `weight`: the adjoint of each counted value.
+  /// product of the non-zero factors. `count`: the number of values equal to
+  /// the extreme, or of factors that are zero. `weight`: the adjoint of each
+  /// counted value.
   Value numElements, total, count, weight;
 };
 
@@ -110,12 +114,13 @@ class ContendedAtomics {
 public:
   explicit ContendedAtomics(AdjointBuilder &builder) : b(builder) {}
 
-  /// Before the reverse of `loop`: emits the adjoints of all contributions.
+  /// To be called before the reverse of `loop` is emitted: emits the adjoints
+  /// of the contributions of all its contended atomics.
   LogicalResult begin(FunctionOpInterface kernel, ParallelForOp loop);
-  /// In the reverse of the loop: the adjoint of the contribution of `atomic`,
-  /// or null if it is not contended.
+  /// Called while the reverse of the loop is emitted: the adjoint of the value
+  /// that `atomic` contributes, or null if the atomic is not contended.
   Value getAdjoint(AtomicOp atomic);
-  /// After the reverse of the loop: frees the buffers.
+  /// To be called after the reverse of the loop is emitted: frees the buffers.
   void end();
 
 private:
@@ -130,11 +135,12 @@ private:
   llvm::MapVector<Operation *, KeptValues> kept;
 };
 
-/// True if `value` is computed before the loop, and so the same in all
-/// iterations.
+/// True if `value` is computed outside of `loop`, and so has the same value in
+/// all iterations.
 bool isKnownBefore(Operation *loop, Value value);
 
-/// The indices of the element, then those of its component.
+/// The position that an atomic updates: the indices of the element, then the
+/// indices of the component.
 SmallVector<Value> getElementPosition(AtomicOp atomic);
 
 } // namespace mlir::tai

@@ -68,7 +68,8 @@ Value Contention::toReal(Value value) {
   return arith::ExtFOp::create(b, real, value);
 }
 
-/// The float type of a field; adjoints may be wider than their primals.
+/// The float type in which the field in `storage` holds its elements. It can be
+/// wider for an adjoint field than for the primal field.
 static Type getNumberType(Storage storage, Operation *op) {
   return getElementTypeOrSelf(lookupField(op, storage.field).getType());
 }
@@ -126,7 +127,8 @@ LogicalResult Contention::findDimensions() {
   return success();
 }
 
-/// An array of `size` elements of the given type, set to `init`.
+/// Allocates a one-dimensional buffer of `size` numbers of `type`, and sets all
+/// to `init`.
 Value Contention::createBuffer(Value size, Type type, Value init) {
   auto bufferType = MemRefType::get({ShapedType::kDynamic}, type);
   Value buffer = memref::AllocOp::create(b, bufferType, size);
@@ -173,7 +175,8 @@ void Contention::createElementLoop(
   });
 }
 
-/// Emits create(run, element, value) for each execution of an atomic.
+/// Emits a loop over the executions of an atomic, whose body create(run,
+/// element, value) emits.
 void Contention::createValueLoop(
     const KeptValues &kept,
     llvm::function_ref<void(Value, Value, Value)> create) {
@@ -195,7 +198,7 @@ LogicalResult Contention::prepare() {
                                  "run 'tai-expand-atomics' first");
     return failure();
   }
-  // The arithmetic is at least as wide as the adjoint.
+  // Compute in a type at least as wide as that of the adjoint field.
   Type adjoint =
       getNumberType(b.getAdjointStorage(getStorage()), atomics.front());
   real = type.getIntOrFloatBitWidth() < 32 ? Type(b.getF32Type()) : type;
@@ -299,7 +302,8 @@ Value Contention::createFactorAdjoint(Value factor, Value element) {
 void Contention::createProductWeights() {
   Storage adjoint = b.getAdjointStorage(getStorage());
   createElementLoop([&](const Element &element) {
-    // Where the adjoint is zero, its product is zero whatever the factor is.
+    // A product with an adjoint g that is zero is zero, whatever the other
+    // factor is (it may be infinite).
     auto times = [&](Value g, Value factor) {
       return select(isZero(g), constant(0),
                     arith::MulFOp::create(b, g, factor));

@@ -26,8 +26,9 @@ static SmallVector<Value> filter(Range &&values, ArrayRef<bool> kept) {
   return result;
 }
 
-/// Erases the arguments from `first` on that are not kept. Only dead ops can
-/// still use an erased argument; they use its entry of `values` instead.
+/// Erases those arguments of `block`, counted from `first`, for which `kept` is
+/// false. Only dead ops can still use an erased argument; they get the
+/// corresponding entry of `values` instead.
 static void eraseArguments(Block *block, unsigned first, ArrayRef<bool> kept,
                            ValueRange values) {
   for (size_t i = kept.size(); i-- != 0;)
@@ -62,13 +63,13 @@ static void dropFromFor(scf::ForOp loop, ArrayRef<bool> kept) {
   replaceResults(loop, smaller, kept, inits);
 }
 
-/// `kept` marks the carried values to keep, `passed` the operands of the
-/// condition to keep.
+/// Drops carried values from an scf.while. `kept` marks the carried values to
+/// keep; `passed` marks the operands of the condition to keep.
 static void dropFromWhile(scf::WhileOp loop, ArrayRef<bool> kept,
                           ArrayRef<bool> passed) {
   OpBuilder builder(loop);
   SmallVector<Value> inits(loop.getInits());
-  // Dead ops may use results that are not passed on: any value will do.
+  // Dropped results have only dead users, for which any value will do.
   SmallVector<Value> dead;
   for (Type type : loop.getResultTypes())
     dead.push_back(
@@ -92,7 +93,6 @@ static void dropFromWhile(scf::WhileOp loop, ArrayRef<bool> kept,
   replaceResults(loop, smaller, passed, dead);
 }
 
-/// Erases the ops whose results nothing uses.
 static void eraseDeadOps(Region &region) {
   for (Block &block : region)
     for (Operation &op : llvm::make_early_inc_range(llvm::reverse(block))) {

@@ -35,7 +35,8 @@ static constexpr StringLiteral kAdjoint = "tai.adjoint";
 static constexpr StringLiteral kDifferentiate = "tai.differentiate";
 
 namespace {
-/// The positions of `tai.gradients`: arguments, then results.
+/// The positions by which `op` differentiates the callee: active arguments,
+/// then active results. The value of the attribute `tai.gradients`.
 SmallVector<int64_t> getPositions(GradOp op, func::FuncOp callee) {
   SmallVector<int64_t> positions = op.getActiveArguments(callee);
   for (int64_t i : op.getActiveResults(callee))
@@ -43,7 +44,8 @@ SmallVector<int64_t> getPositions(GradOp op, func::FuncOp callee) {
   return positions;
 }
 
-/// Whether the attributes of the function name a derivative by these positions.
+/// True if the function already has a derivative by the given positions, named
+/// by its attributes.
 bool hasDerivativeBy(func::FuncOp function, ArrayRef<int64_t> positions) {
   if (!function->hasAttr(kAdjoint))
     return false;
@@ -58,7 +60,7 @@ bool hasDerivativeBy(func::FuncOp function, ArrayRef<int64_t> positions) {
   return ArrayRef(own) == positions;
 }
 
-/// A private copy of the function to differentiate by these positions.
+/// Makes a private copy of `function`, to be differentiated by `positions`.
 func::FuncOp copyFor(func::FuncOp function, ArrayRef<int64_t> positions,
                      SymbolTable &symbols) {
   std::string name = (function.getName() + "_by").str();
@@ -81,8 +83,9 @@ func::FuncOp copyFor(func::FuncOp function, ArrayRef<int64_t> positions,
   return copy;
 }
 
-/// Allocates memory for one value, at the start of the function around `op`, or
-/// of the innermost loop around `op` whose iterations may run in parallel.
+/// Allocates memory for a value of `type`, at the start of the function around
+/// `op`; if `op` is in a loop whose iterations may run in parallel, at the
+/// start of the innermost such loop.
 Value allocate(GradOp op, Type type) {
   Operation *scope = op->getParentOp();
   while (
@@ -109,7 +112,8 @@ void forEachComponent(OpBuilder &builder, Location loc, MemRefType type,
   }
 }
 
-/// Stores a number or vector to `memref`; zero if `value` is null.
+/// Stores `value`, a number or vector, to `memref`, component by component;
+/// stores zeros if `value` is null.
 void store(OpBuilder &builder, Location loc, Value value, Value memref) {
   auto type = cast<MemRefType>(memref.getType());
   Value zero;
@@ -128,7 +132,7 @@ void store(OpBuilder &builder, Location loc, Value value, Value memref) {
       });
 }
 
-/// Loads a number or vector of this type.
+/// Loads a number or vector of `type` from `memref`, component by component.
 Value load(OpBuilder &builder, Location loc, Value memref, Type type) {
   SmallVector<Value> components;
   forEachComponent(builder, loc, cast<MemRefType>(memref.getType()),
@@ -141,8 +145,8 @@ Value load(OpBuilder &builder, Location loc, Value memref, Type type) {
   return vector::FromElementsOp::create(builder, loc, type, components);
 }
 
-/// Replaces `op` by a call of the derivative by all its active arguments and
-/// results.
+/// Replaces `op` by a call of the function `derivative`, which differentiates
+/// by all active arguments and results of `op`.
 void replace(GradOp op, func::FuncOp callee, StringRef derivative) {
   OpBuilder builder(op);
   Location loc = op.getLoc();
@@ -191,8 +195,8 @@ struct ExpandGradients : tai::impl::ExpandGradientsBase<ExpandGradients> {
     if (ops.empty())
       return markAllAnalysesPreserved();
     SymbolTable symbols(module);
-    // `sources` has the function to differentiate for each op: the function
-    // that the op names, or one of the copies.
+    // For each op, `sources` has the function to differentiate: the callee of
+    // the op, or a copy of it for other positions.
     using Key = std::pair<Operation *, Attribute>;
     llvm::MapVector<Key, func::FuncOp> copies;
     SmallVector<func::FuncOp> sources;
@@ -237,7 +241,7 @@ struct ExpandGradients : tai::impl::ExpandGradientsBase<ExpandGradients> {
     for (auto [op, source] : llvm::zip(ops, sources))
       replace(op, source,
               source->getAttrOfType<FlatSymbolRefAttr>(kAdjoint).getValue());
-    // Derivatives do not call the copies.
+    // Erase the copies: the derivatives made from them do not call them.
     for (auto &[key, copy] : copies)
       if (SymbolTable::symbolKnownUseEmpty(copy, module))
         copy.erase();

@@ -13,8 +13,9 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// An attribute of re-executed reads while the adjoint is emitted: the index of
-/// the repeated primal read.
+/// Name of an attribute of re-executed reads, while the adjoint is being
+/// emitted: the index, in ForwardReexecution::reads, of the primal read that is
+/// repeated.
 constexpr llvm::StringLiteral kRepeatedReadAttrName = "tai.rerun_read";
 
 //===----------------------------------------------------------------------===//
@@ -22,20 +23,21 @@ constexpr llvm::StringLiteral kRepeatedReadAttrName = "tai.rerun_read";
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Copies the ops of a block that re-execution needs into the block's mirror.
+/// The ops of a primal block that have to be executed again; copies them into
+/// the mirror of the block.
 class Slice {
 public:
   Slice(AdjointBuilder &builder, ReexecutedBlock &again,
         SmallVectorImpl<Operation *> &reads)
       : b(builder), again(again), reads(reads), unit(again.frame.primal) {}
 
-  /// Finds the accesses and draws for which `matters` holds, and all ops that
-  /// they depend on.
+  /// Finds the accesses and random draws for which `matters` holds, and all ops
+  /// that they depend on.
   void find(llvm::function_ref<bool(Operation *)> matters);
   void copy() { copyBlock(unit, again.frame.mirror); }
 
-  /// True for loops whose iterations must be counted, and for writes to fields
-  /// that re-execution repeats.
+  /// `counts`: true for loops whose iterations must be counted. `writes`: true
+  /// for writes to fields that the second execution repeats.
   llvm::function_ref<bool(Operation *)> counts, writes;
 
 private:
@@ -80,7 +82,8 @@ void Slice::find(llvm::function_ref<bool(Operation *)> matters) {
     for (Region &region : op->getRegions())
       for (Block &block : region)
         markLive(block.getTerminator());
-    // All accesses of an array that is allocated here are repeated.
+    // Of an array that is allocated within the block, all accesses are
+    // repeated.
     if (auto access = dyn_cast<DifferentiableAccessInterface>(op))
       if (Value array = access.getAccessedStorage().memref)
         if (Operation *owner = array.getDefiningOp();
@@ -90,8 +93,8 @@ void Slice::find(llvm::function_ref<bool(Operation *)> matters) {
   }
 }
 
-/// The value in the second execution. A value from outside of the block is
-/// rematerialised before it.
+/// The value, in the second execution, of a primal value. A value from outside
+/// of the re-executed block is rematerialised before the block.
 Value Slice::lookup(Value value) {
   if (Value known = again.values.lookupOrNull(value))
     return known;
@@ -276,7 +279,8 @@ Value ForwardReexecution::fetchCount(scf::WhileOp loop) {
 void ForwardReexecution::leave(Frame &frame) {
   ReexecutedBlock *from = innermost.get();
   if (from && &frame == &from->frame) {
-    // Detach the parent before `from` is freed.
+    // Take the parent out of `from` first: assigning to `innermost` frees
+    // `from`.
     std::unique_ptr<ReexecutedBlock> outer = std::move(from->parent);
     innermost = std::move(outer);
     frame.recomputeBegin->erase();
@@ -308,7 +312,6 @@ void ForwardReexecution::end(Frame &frame) {
   innermost->begin->erase();
 }
 
-/// Erases the ops whose results nothing uses.
 static void eraseDead(Region &region) {
   for (Block &block : region)
     for (Operation &op : llvm::make_early_inc_range(llvm::reverse(block))) {

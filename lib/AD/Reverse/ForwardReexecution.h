@@ -26,19 +26,20 @@
 
 namespace mlir::tai {
 
-/// A primal block that is re-executed at the start of its mirror, and the
-/// values that it records.
+/// A primal block that is executed again at the start of its mirror (the
+/// corresponding block of the adjoint), and the values recorded on the way.
 struct ReexecutedBlock {
   ReexecutedBlock(Frame &frame, std::unique_ptr<ReexecutedBlock> parent)
       : frame(frame), parent(std::move(parent)) {}
 
-  /// A recorded value: the primal block whose mirrors pop it, and one stack for
-  /// each component.
+  /// A value recorded on stacks: the primal block at the start of whose mirrors
+  /// it is popped, and one stack for each component.
   struct Record {
     Block *block;
     SmallVector<Value> stacks;
   };
-  /// A completed mirror, with the op that marks where it pops values.
+  /// A completed mirror of a primal block, and the op in it that marks where
+  /// recorded values are popped.
   struct Mirror {
     Block *block;
     Operation *marker;
@@ -46,41 +47,43 @@ struct ReexecutedBlock {
   };
 
   Frame &frame;
-  /// The re-executed block around this one, if any.
+  /// The enclosing re-executed block, or null.
   std::unique_ptr<ReexecutedBlock> parent;
-  /// A placeholder op; stacks are created before it.
+  /// A placeholder op, before which the stacks are created.
   Operation *begin = nullptr;
-  /// Maps primal values of the block, and of blocks in it, to those of the
-  /// re-execution.
+  /// Maps values of the primal block, and of blocks nested in it, to the values
+  /// of the second execution.
   IRMapping values;
-  /// By loop: the number of times that its second region ran.
+  /// For each re-executed scf.while: the number of times that its second region
+  /// ran.
   DenseMap<Operation *, Value> counts;
   llvm::MapVector<Value, Record> records;
   SmallVector<Mirror> mirrors;
 };
 
-/// Emits the operations of a ReexecutionPlan.
+/// Emits the second execution of primal ops that a ReexecutionPlan asks for.
 class ForwardReexecution {
 public:
   ForwardReexecution(AdjointBuilder &builder, const ReexecutionPlan &plan)
       : b(builder), plan(plan) {}
 
-  /// Call at the start and at the end of the mirror of a re-executed block.
+  /// To be called at the start and at the end of the mirror of each re-executed
+  /// block.
   void begin(Frame &frame);
   void end(Frame &frame);
-  /// Call at the end of any mirror: other mirrors of the block may still record
-  /// values, which this one must then pop as well.
+  /// To be called at the end of every mirror. Another mirror of the same block
+  /// may record further values later, which this mirror must then pop as well.
   void leave(Frame &frame);
 
-  /// The recorded value `value`, popped at the start of the mirror of its
-  /// block.
+  /// The recorded value of the primal value `value`, popped at the start of the
+  /// mirror of the value's block.
   Value fetch(Frame &frame, Value value);
-  /// The number of times that the second region of a loop around recorded ops
-  /// ran.
+  /// The number of times that the second region of `loop` ran in the second
+  /// execution; `loop` contains recorded ops.
   Value fetchCount(scf::WhileOp loop);
 
-  /// Adds the re-executed reads that the adjoint uses to `demands`, and erases
-  /// the unused ones.
+  /// Adds the reads of the second execution that the adjoint uses to `demands`,
+  /// and erases the unused reads.
   void collectReads(FunctionOpInterface adjoint, PrimalDemands &demands);
 
 private:
@@ -88,8 +91,8 @@ private:
   const ReexecutionPlan &plan;
   /// The innermost block that is being re-executed.
   std::unique_ptr<ReexecutedBlock> innermost;
-  /// The primal reads. Each re-executed read has an attribute with the index in
-  /// this list of the read that it repeats.
+  /// The primal reads that are repeated. The repeated read has the index of its
+  /// primal read in this list as an attribute.
   SmallVector<Operation *> reads;
 };
 

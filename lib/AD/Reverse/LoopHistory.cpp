@@ -90,7 +90,8 @@ scf::ForOp LoopHistory::getForward() {
   Value zero = arith::ConstantIndexOp::create(b, 0);
   Value one = arith::ConstantIndexOp::create(b, 1);
   forward = scf::ForOp::create(b, zero, count, one, copy.getInits());
-  // In each counted iteration the condition holds, and the body runs.
+  // The number of iterations has been counted, so the condition of the
+  // scf.while holds in each iteration, and the body runs.
   Block *body = forward.getBody();
   if (!body->empty())
     body->back().erase();
@@ -141,8 +142,9 @@ Value LoopHistory::getCarried(Frame &frame, unsigned index) {
   return trajectory.load(frame, index, draft);
 }
 
-/// The primal value of an operand of a step, computed at the very beginning of
-/// the iteration, before all values that the sweep recomputes there.
+/// The primal value of an operand of an update step, computed at the very start
+/// of the reversed iteration: before all values that the sweep recomputes
+/// there.
 Value LoopHistory::getEarly(Frame &frame, Value value) {
   value = b.getPlan().local.resolve(value);
   if (!loop->isAncestor(value.getParentBlock()->getParentOp()))
@@ -186,7 +188,8 @@ Value LoopHistory::createClosedForm(Frame &frame, const CarriedValue &value,
   return b.createOrFold<arith::AddIOp>(init, change);
 }
 
-/// The carried value `index` at the beginning of the next iteration.
+/// The value, at the start of the next iteration, of the carried value number
+/// `index`.
 Value LoopHistory::getNext(unsigned index) {
   BlockArgument &next = nexts[index];
   if (!next)
@@ -263,7 +266,7 @@ void LoopHistory::endIteration() {
   if (b.getPlan().recordsAll())
     for (unsigned i = 0, e = static_cast<unsigned>(carried.size()); i != e; ++i)
       b.getPrimal(getArgument(i));
-  // `getPrimal` may add entries to `nexts`.
+  // This loop must count on `nexts` growing: `getPrimal` may add entries to it.
   for (size_t i = 0; i != nexts.size(); ++i)
     nextYields.push_back(
         b.getPrimal(getArgument(nexts.getArrayRef()[i].first)));
@@ -296,7 +299,8 @@ ResultRange LoopHistory::close(ArrayRef<Value> yields,
   trajectory.release();
   b.countCarried(static_cast<int64_t>(carried.size()),
                  static_cast<int64_t>(trajectory.size()));
-  // The stored form of the adjoint would repeat the remarks.
+  // No remarks for the stored form of the adjoint: the plain form has emitted
+  // them.
   if (loop->getContext()->getRemarkEngine() && !b.getPlan().options.loadsStored)
     remarkReversedLoop(summarize());
   return reverse.getResults().take_front(own);

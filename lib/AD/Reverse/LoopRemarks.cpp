@@ -59,7 +59,8 @@ void mlir::tai::remarkReversedLoop(const ReversedLoop &summary) {
            << remark::metric("BytesPerIteration", isRecorded ? bytes : 0)
            << remark::metric("BytesPerChunk", entry.isKeptByChunks ? bytes : 0);
     };
-    // A record costs memory, which a change of the program may avoid.
+    // Recording a value is reported as a missed optimisation: it costs memory,
+    // which a change of the program may avoid.
     if (isRecorded)
       says(remark::missed(entry.value.getLoc(), options("carried")));
     else

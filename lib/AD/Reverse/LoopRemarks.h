@@ -17,7 +17,8 @@ namespace mlir::tai {
 struct ReversedLoop {
   struct Carried {
     Value value;
-    /// How the reverse recovers the value (see CarriedKind).
+    /// Name of the way in which the reverse recovers the value; see
+    /// CarriedKind.
     StringRef kind;
     /// Whether the value is part of the checkpoint of each chunk.
     bool isKeptByChunks;
@@ -25,11 +26,13 @@ struct ReversedLoop {
 
   Operation *loop;
   StringRef function;
-  /// How many iterations there are, in words.
+  /// The number of iterations, in words for the remark.
   std::string trips = "counted by a run of the loop";
-  /// Bytes of history for each iteration; 0 if nothing is recorded.
+  /// Bytes that the reverse records for each iteration; 0 if nothing is
+  /// recorded.
   int64_t bytesPerIteration = 0;
-  /// A history of more bytes than this is recorded in chunks; 0 for never.
+  /// If the record takes more bytes than this, it is made in chunks of
+  /// iterations; 0 means never.
   int64_t chunkedFrom = 0;
   SmallVector<Carried> carried;
 };

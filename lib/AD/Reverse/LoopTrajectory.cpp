@@ -87,8 +87,9 @@ static Value loadState(AdjointBuilder &b, Type type, Value buffer,
   return b.createVector(vector, components);
 }
 
-// `record` sets the size of the buffer and emits the stores to it, once the
-// reverse is complete.
+// Loads the value of carried value `index` from its buffer. `record` later sets
+// the size of the buffer and emits the stores to it, when the reverse is
+// complete.
 Value LoopTrajectory::load(Frame &frame, unsigned index,
                            const ReverseDraft &draft) {
   Type type = forward.getRegionIterArg(index).getType();
@@ -110,9 +111,10 @@ int64_t LoopTrajectory::getBytesPerIteration() {
   return bytes;
 }
 
-/// Stores the recorded values at the beginning of the body of `recorder`, at
-/// the number of the iteration in `recorder`. The distance from the lower bound
-/// is unsigned, because it may exceed the signed range of the type.
+/// Emits, at the start of the body of `recorder`, stores of the recorded values
+/// to their buffers, at the number of the iteration. The distance of the
+/// induction variable from the lower bound is unsigned, because it may exceed
+/// the range of its signed type.
 void LoopTrajectory::storeRecorded(scf::ForOp recorder) {
   b.setInsertionPointToStart(recorder.getBody());
   Value position = recorder.getInductionVar();
@@ -126,7 +128,8 @@ void LoopTrajectory::storeRecorded(scf::ForOp recorder) {
     storeState(b, recorder.getRegionIterArg(index), buffer, position);
 }
 
-/// True if the value can be computed before a loop around `block`.
+/// True if `value`, used in `block`, can be computed before the loop whose body
+/// is `block`: by at most `depth` levels of ops without side effects.
 static bool canLeave(Value value, Block *block, unsigned depth) {
   if (value.getParentBlock() != block)
     return true;
@@ -138,9 +141,9 @@ static bool canLeave(Value value, Block *block, unsigned depth) {
          });
 }
 
-/// The size of a chunk, which is the square root of `trips` but at least
-/// `most`, and the number of chunks. An integer division is avoided, because it
-/// could not be hoisted out of a loop around this one.
+/// The size and the number of chunks for `trips` iterations. The size is the
+/// square root of `trips`, but at least `most`. An integer division is avoided,
+/// because it could not be hoisted out of a loop around this one.
 static std::pair<Value, Value> createSquareRoots(AdjointBuilder &b, Value trips,
                                                  Value most) {
   Type integer = b.getI64Type(), real = b.getF64Type();
@@ -159,7 +162,8 @@ static std::pair<Value, Value> createSquareRoots(AdjointBuilder &b, Value trips,
   return {size, number};
 }
 
-/// The size and number of chunks, or nulls if one chunk is enough.
+/// Computes the size and the number of chunks; null values if one chunk is
+/// enough.
 LoopTrajectory::Chunks LoopTrajectory::createChunks() {
   int64_t limit = std::max<int64_t>(1, b.getPlan().options.historyBytes /
                                            getBytesPerIteration());
@@ -212,7 +216,8 @@ void LoopTrajectory::record() {
   if (!room)
     room = b.createOrFold<arith::MaxSIOp>(count,
                                           arith::ConstantIndexOp::create(b, 0));
-  // The checkpoints of a value follow its record in the same buffer.
+  // The buffer of a carried value holds its record for one chunk, and then its
+  // checkpoints.
   if (chunks.number)
     room = b.createOrFold<arith::AddIOp>(room, chunks.number);
   for (auto [index, buffer] : histories) {
@@ -225,8 +230,8 @@ void LoopTrajectory::record() {
     storeRecorded(forward);
 }
 
-/// The bounds, in terms of the induction variable of the loop, of the
-/// iterations from `begin` to `end`.
+/// Bounds of the loop's induction variable for the iterations number `begin` to
+/// `end`.
 std::pair<Value, Value> LoopTrajectory::createRange(Value begin, Value end) {
   auto forOp = dyn_cast<scf::ForOp>(loop);
   if (!forOp)
@@ -249,7 +254,8 @@ std::pair<Value, Value> LoopTrajectory::createRange(Value begin, Value end) {
     return position;
   };
   Value first = scale(begin), after = scale(end);
-  // The end of the last chunk may exceed the range of the type.
+  // For the last chunk, use the upper bound itself: lower bound plus end times
+  // step may exceed the range of the type.
   if (!isUnit)
     after = arith::SelectOp::create(
         b, arith::CmpIOp::create(b, arith::CmpIPredicate::eq, end, count),
@@ -284,8 +290,8 @@ void LoopTrajectory::recordChunks() {
   forward.setStep(arith::ConstantIndexOp::create(b, 1));
   storeRecorded(inner);
 
-  // A checkpoint has all carried values that the record of the chunk depends
-  // on.
+  // A checkpoint consists of the carried values on which the record of the
+  // chunk depends.
   LiveValues live(forward.getRegion());
   for (BlockArgument argument : inner.getRegionIterArgs()) {
     unsigned index = argument.getArgNumber() - 1;
@@ -305,14 +311,16 @@ void LoopTrajectory::recordChunks() {
   }
 }
 
-/// The position of the checkpoint of a chunk in the buffer of a carried value.
+/// The position, in the buffer of carried value `index`, of the checkpoint of
+/// chunk number `chunk`.
 Value LoopTrajectory::getStart(unsigned index, Value chunk) {
   return histories.contains(index)
              ? arith::AddIOp::create(b, chunks.room, chunk).getResult()
              : chunk;
 }
 
-/// Moves the body of the draft to `reverse`, with the given yields.
+/// Moves the ops of the drafted reverse loop into `reverse`, with `yields` as
+/// the values that it yields.
 scf::ForOp LoopTrajectory::finishReverse(scf::ForOp reverse,
                                          ReverseDraft &draft,
                                          ArrayRef<Value> yields) {
@@ -346,7 +354,8 @@ scf::ForOp LoopTrajectory::createReverseChunks(ReverseDraft &draft,
                                        outer.getInductionVar(), zero);
   Value rerunEnd = arith::SelectOp::create(b, isLast, begin, end);
   auto [lower, upper] = createRange(begin, rerunEnd);
-  // Operations that the record does not depend on will be dropped.
+  // Carried values without a checkpoint can start with any value: the ops that
+  // use them do not influence the record, and will be dropped.
   SmallVector<Value> states(forward.getInitArgs());
   for (auto [index, start] : starts)
     states[index] = loadState(b, inner.getRegionIterArg(index).getType(), start,

@@ -51,7 +51,7 @@ static FunctionType getAdjointType(FunctionOpInterface function,
   return FunctionType::get(function.getContext(), inputs, {});
 }
 
-/// An empty adjoint next to `function`.
+/// Creates the adjoint of `function` without a body, next to `function`.
 static FunctionOpInterface createShell(FunctionOpInterface function,
                                        StringRef name,
                                        const AdjointSignature &signature) {
@@ -68,8 +68,8 @@ static FunctionOpInterface createShell(FunctionOpInterface function,
   return shell;
 }
 
-/// Makes accumulations into arrays non-atomic where no other iteration can
-/// reach the element.
+/// Makes accumulations into adjoints of arrays non-atomic where no other
+/// iteration can reach the element.
 static void relaxArrayAccumulations(FunctionOpInterface function) {
   llvm::MapVector<std::pair<Operation *, Value>, SmallVector<Operation *>>
       groups;
@@ -226,7 +226,8 @@ static LogicalResult fillWith(FunctionOpInterface function,
     ReturnOp::create(builder, function.getLoc(), ValueRange());
   else
     func::ReturnOp::create(builder, function.getLoc());
-  // The primal decides which cells are active.
+  // The primal kernel decides which cells are active: writes of its adjoint
+  // activate none.
   if (auto kernel = dyn_cast<KernelOp>(shell.getOperation());
       kernel && reachesSparse(shell))
     kernel.setKeepsActivity(true);
@@ -279,16 +280,17 @@ static void clearFunction(FunctionOpInterface shell, unsigned count) {
   body.eraseArguments(count, body.getNumArguments() - count);
 }
 
-/// Adds arguments to the adjoint for the records, which are results of the
-/// augmented function.
+/// The augmented function returns records as additional results: adds an
+/// argument for each record to the adjoint `shell`.
 static void passRecords(Traces &traces, FunctionOpInterface shell) {
   Block &body = shell.getFunctionBody().front();
   for (auto &[argument, record] : traces.arrays)
     record = body.addArgument(record.getType(), record.getLoc());
 }
 
-/// Like `fillWith`, for a function of arrays: values that the function
-/// overwrites or frees are recorded by a second execution, or by `augmented`.
+/// Fills the adjoint of a function of arrays. Values that the function
+/// overwrites or frees are recorded by a second execution in the adjoint, or by
+/// the function `augmented` unless that is null.
 static LogicalResult
 fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
              const AdjointSignature &signature, const AdjointOptions &options,
@@ -373,9 +375,10 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
   }
 }
 
-/// Like `fillAdjoint`. An empty function `augmented` with the arguments of the
-/// primal becomes the primal with additional results: records of values that
-/// the adjoint needs. The adjoint gets the records as additional arguments.
+/// Fills the adjoint `shell`. If `augmented`, an empty function with the
+/// arguments of the primal, is given, it becomes the primal with additional
+/// results: records of values that the adjoint needs. The adjoint gets the
+/// records as additional arguments.
 static LogicalResult fill(FunctionOpInterface function,
                           FunctionOpInterface shell,
                           const AdjointSignature &signature,
@@ -388,8 +391,8 @@ static LogicalResult fill(FunctionOpInterface function,
     return fillWith(function, shell, signature, options, needsParts);
   };
   if (!options.skips.has(Skip::InactiveValues)) {
-    // Inactive values that count as active may lack a derivative: then they are
-    // skipped after all.
+    // The skip of inactive values is off, so they are differentiated like
+    // active ones. If one of them has no derivative, try again with the skip.
     SilencedDiagnostics silence(function.getContext());
     if (succeeded(fillOnce()))
       return success();
@@ -410,7 +413,7 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
 /// Stores the estimated cost of the original loops in an attribute, which the
 /// loops of the adjoint inherit.
 static void fixCosts(FunctionOpInterface function) {
-  // A gradient takes about three times as long as its primal.
+  // Assumed time of a gradient relative to its primal.
   constexpr double perPrimal = 3;
   Builder builder(function.getContext());
   function->walk([&](ParallelForOp loop) {
@@ -453,8 +456,8 @@ struct MakeAdjoint
   /// has stored, if it saves time. The adjoint refers to it in an attribute.
   void makeStoredForm(FunctionOpInterface function, KernelOp adjoint,
                       const AdjointSignature &signature, SymbolTable &symbols) {
-    // Nanoseconds that an iteration must save. A load does not save work that
-    // other values need as well.
+    // Nanoseconds that loading stored values must save in an iteration. A load
+    // saves nothing if other values need the recomputation as well.
     constexpr double worthHaving = 4;
     std::string name = (adjoint.getName() + "_stored").str();
     if (symbols.lookup(name) || adjoint.getReexecutes() ||
@@ -464,7 +467,8 @@ struct MakeAdjoint
     auto shell =
         cast<KernelOp>(createShell(function, name, signature).getOperation());
     bool zeroes = adjoint.getZeroesAdjoint();
-    // The adjoint has already emitted all diagnostics.
+    // Suppress diagnostics: the plain form of the adjoint has emitted all of
+    // them.
     SilencedDiagnostics silence(&getContext());
     if (failed(fillAdjoint(function, shell, signature,
                            getOptions(zeroes, /*loadsStored=*/true))) ||
@@ -531,7 +535,9 @@ struct MakeAdjoint
     Operation *taken = symbols.lookup(name);
     if (!taken && splits)
       taken = symbols.lookup(augmentedName);
-    // Unlike a kernel, a function can be differentiated by its arguments alone.
+    // Array arguments of a function always get adjoints. A kernel can have
+    // fields with adjoints instead, so its arrays get them only with the
+    // option.
     bool arrays = arrayAdjoints || !isa<KernelOp>(function.getOperation());
     FailureOr<AdjointSignature> signature =
         AdjointSignature::get(function, arrays);

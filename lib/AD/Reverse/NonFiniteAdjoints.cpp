@@ -42,7 +42,7 @@ static bool mayMakeInfinite(OpOperand &operand, FloatFacts &facts) {
       isa<arith::SelectOp, arith::MaximumFOp, arith::MinimumFOp, math::AbsFOp>(
           op))
     return false;
-  // Each factor is multiplied with the value of the other.
+  // The partial derivative of a product by one factor is the other factor.
   if (isa<arith::MulFOp, math::FmaOp, vector::FMAOp>(op)) {
     unsigned number = operand.getOperandNumber();
     return number < 2 && isNonFinite(op->getOperand(1 - number));
@@ -61,7 +61,8 @@ public:
               DenseSet<Value> &undefined)
       : b(b), all{{}, {}}, handedOn{&infinite, &undefined} {}
 
-  /// One walk from the end to the beginning. True if it has found more values.
+  /// Walks once over the function, from its end to its beginning. True if it
+  /// has found more values whose adjoint may be non-finite.
   bool run(FunctionOpInterface function) {
     grown = false;
     function.walk<WalkOrder::PreOrder, ReverseIterator>(
@@ -76,8 +77,9 @@ private:
     if (b.isActive(value))
       grown |= all[kind].insert(value).second;
   }
-  /// The values `from` are forwarded to `to`, the arguments of a region or the
-  /// results of an op with regions.
+  /// The values `from` are forwarded to `to`, arguments of a region or results
+  /// of an op: if the adjoint of a value in `to` may be non-finite, so may the
+  /// adjoint of the value in `from`.
   void pass(ValueRange from, ValueRange to) {
     for (auto [source, target] : llvm::zip(from, to))
       for (Kind kind : {Infinite, Undefined})
@@ -184,9 +186,10 @@ Value NonFiniteAdjoints::createInfinityTest() {
   return any;
 }
 
-/// The partial derivative: the contribution of a rule with 1 in place of the
-/// incoming adjoints. Null unless a few ops without regions and side effects
-/// compute the contribution.
+/// Emits the partial derivative by which a rule multiplies: the computation of
+/// `contribution`, repeated with 1 in place of the incoming adjoints. Null if
+/// more than a few ops, or ops with regions or side effects, compute the
+/// contribution.
 Value NonFiniteAdjoints::createUnitContribution(Value contribution) {
   SmallVector<Operation *> slice;
   DenseMap<Value, bool> known;

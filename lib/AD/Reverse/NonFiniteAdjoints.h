@@ -31,7 +31,7 @@ public:
   void markInfinite(Value value) { mayBeInfinite.insert(value); }
   void markUndefined(Value value) { mayBeUndefined.insert(value); }
 
-  /// Before and after the rule of `op`.
+  /// To be called before and after the rule of `op` is applied.
   void beginRule(Operation *op);
   void endRule();
   /// True if an incoming adjoint of the current rule may be NaN.
@@ -54,9 +54,10 @@ private:
   Operation *current = nullptr;
   llvm::SmallSetVector<Value, 2> seeds;
   SmallVector<Value, 2> infiniteSeeds;
-  /// An i1: whether an incoming adjoint is infinite; null until first needed.
+  /// A value of type i1: whether an incoming adjoint is infinite. Null until
+  /// needed.
   Value seedIsInfinite;
-  /// Whether an incoming adjoint may be NaN.
+  /// Whether an incoming adjoint of the current rule may be NaN.
   bool seedIsUndefined = false;
 };
 

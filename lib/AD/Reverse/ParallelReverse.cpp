@@ -18,8 +18,9 @@ mlir::tai::reverseParallelBody(AdjointBuilder &b, Operation *loop,
                                Block &primal, Block &mirror,
                                llvm::function_ref<void(Frame &)> begin,
                                llvm::function_ref<void()> terminate) {
-  // One buffer for each captured value, with one element for each component.
-  // The lowering of loops sums the elements in registers; see
+  // For each value that the body captures from outside of the loop: a buffer
+  // that sums the adjoints of all iterations, with an element for each
+  // component. The lowering of loops keeps such sums in registers; see
   // tai-relax-atomics.
   SmallVector<std::pair<Value, Value>> sums;
   auto end = [&](Frame &frame) {

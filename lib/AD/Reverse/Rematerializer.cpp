@@ -43,8 +43,8 @@ bool Rematerializer::isOwnRead(Operation *op) const {
          !holdsOwners(array);
 }
 
-/// Appends the ops of this block that `op` needs and that are not recomputed
-/// yet. Returns true if there are any.
+/// Appends to `missing` the ops of the frame's block that `op` needs and that
+/// are not recomputed yet. Returns true if there are any.
 bool Rematerializer::needsOperands(Frame &frame, Operation *op,
                                    SmallVectorImpl<Operation *> &missing) {
   size_t before = missing.size();
@@ -75,15 +75,15 @@ Value Rematerializer::materialize(Frame &frame, Value value) {
   } else if (Value kept = loadStored(frame, value)) {
     frame.values.map(value, kept);
   } else {
-    // A list of pending ops and not recursion: chains can be long.
+    // A worklist instead of recursion, because chains of operands can be long.
     SmallVector<Operation *> pending = {value.getDefiningOp()};
     while (!pending.empty()) {
       Operation *op = pending.back();
       if (frame.recomputed.count(op)) {
         pending.pop_back();
       } else if (refused.contains(op)) {
-        // An op that was refused in another frame of the same block has no
-        // values in this one yet.
+        // Recomputation of `op` was refused in another frame of the same block,
+        // so its results are not mapped in this frame yet.
         frame.values.map(op->getResults(), op->getResults());
         pending.pop_back();
       } else if (!needsOperands(frame, op, pending)) {
@@ -93,7 +93,7 @@ Value Rematerializer::materialize(Frame &frame, Value value) {
     }
   }
   b.setLoc(loc);
-  // After an error, use the primal value: the adjoint will be discarded.
+  // After an error, the primal value stands in: the adjoint will be discarded.
   if (!frame.values.contains(value))
     frame.values.map(value, value);
   return frame.values.lookup(value);
@@ -121,7 +121,7 @@ void Rematerializer::materializeArgument(Frame &frame, BlockArgument argument) {
     frame.values.map(argument, value);
 }
 
-/// Keeps recomputed ops in the order of the primal.
+/// Recomputed ops are inserted in the order of the primal ops.
 void Rematerializer::setInsertionPointFor(Frame &frame, Operation *op) {
   auto next = frame.recomputed.lower_bound(op);
   if (next != frame.recomputed.end())
@@ -194,7 +194,8 @@ void Rematerializer::recompute(Frame &frame, Operation *op) {
   if (auto alloc = dyn_cast<memref::AllocOp>(op); alloc && holdsOwners(alloc))
     return recomputeOwners(frame, alloc);
   if (isOwnRead(op)) {
-    // The adjoint will be emitted again, with a recorded value for the read.
+    // Emission of the adjoint will be repeated, with a recorded value for this
+    // read.
     demands.reads.insert(op);
     frame.values.map(op->getResults(), op->getResults());
     refused.insert(op);
@@ -205,7 +206,8 @@ void Rematerializer::recompute(Frame &frame, Operation *op) {
     refused.insert(op);
     return;
   }
-  // Operands may lie in outer frames, and be recomputed there.
+  // Operands that are defined in an outer block are recomputed in the frame of
+  // that block.
   IRMapping mapping;
   for (Value operand : op->getOperands())
     mapping.map(operand, get(operand));
@@ -213,8 +215,8 @@ void Rematerializer::recompute(Frame &frame, Operation *op) {
   Operation *copy = b.insert(op->cloneWithoutRegions(mapping));
   for (auto [from, to] : llvm::zip(op->getResults(), copy->getResults()))
     frame.values.map(from, to);
-  // Values that the regions capture are recomputed before the op: the adjoint
-  // must have them there.
+  // Values that the op's regions capture have to be recomputed before the op,
+  // where the adjoint can use them.
   frame.recomputed[op] = copy;
   if (op->getNumRegions() != 0)
     recomputeRegions(op, copy);
@@ -309,7 +311,8 @@ bool Rematerializer::checkRecomputable(Operation *op) {
 }
 
 bool Rematerializer::checkReadable(DifferentiableAccessInterface read) {
-  // Owners are computed again, not read.
+  // A read of a buffer of owners needs no record, because owners are computed
+  // again.
   if (Value memref = read.getAccessedStorage().memref;
       memref && holdsOwners(memref))
     return true;

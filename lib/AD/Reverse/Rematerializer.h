@@ -24,26 +24,28 @@ class StoredOutputs;
 
 class Rematerializer {
 public:
-  /// Notes the demands on the primal in `demands`. If `stored` is null, stored
-  /// outputs are not used.
+  /// Creates a rematerializer that notes in `demands` the values that the
+  /// adjoint needs from the primal. If `stored` is null, stored outputs are not
+  /// used.
   Rematerializer(AdjointBuilder &builder, const AdjointPlan &plan,
                  PrimalDemands &demands, ForwardReexecution &reexecution,
                  StoredOutputs *stored)
       : b(builder), plan(plan), demands(demands), reexecution(reexecution),
         stored(stored) {}
 
-  /// The primal value, in the frame of its block.
+  /// The primal value `value`, recomputed in the frame of its block.
   Value get(Value value);
-  /// Mirrors a block for its primal values alone: the operands of its
-  /// terminator, and the terminator itself.
+  /// Copies a primal block into `mirror` as far as its terminator needs it: the
+  /// ops that compute the terminator's operands, and the terminator.
   void cloneBlock(Block *primal, Block *mirror);
-  /// Checks that a read returns in the adjoint the value that it returned in
-  /// the primal.
+  /// Checks that `read`, repeated in the adjoint, returns the value that it
+  /// returned in the primal.
   bool checkReadable(DifferentiableAccessInterface read);
 
-  /// True while a rule requests values, false while the control flow of the
-  /// adjoint does. The control flow must be the same with and without stored
-  /// outputs, because one form takes over the reads of the other.
+  /// True while a derivative rule requests primal values; false while the
+  /// control flow of the adjoint does. The control flow must not depend on
+  /// whether stored outputs are used, because one form of the adjoint takes
+  /// over the reads of the other.
   bool isForRule = false;
 
 private:

@@ -41,8 +41,8 @@ static bool isPlainIndex(Value value, unsigned depth = 16) {
          });
 }
 
-/// True if the element holds the stored value when the kernel is done, whatever
-/// other iterations do.
+/// True if the element still holds the value that `store` has stored when the
+/// kernel ends, whatever other iterations do.
 static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
   // A store to a sparse field may find its cell inactive.
   FieldLayout layout =
@@ -56,7 +56,7 @@ static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
   auto access = cast<DifferentiableAccessInterface>(store.getOperation());
   if (accesses.findLaterWrite(access))
     return false;
-  // If several iterations write the element, the last one is not known.
+  // If several iterations write the element, it is unknown which value remains.
   Operation *loop = getOutermostParallelLoop(store);
   if (!loop)
     return true;
@@ -105,7 +105,7 @@ StoredOutputs::StoredOutputs(FunctionOpInterface function,
 // Loading stored values
 //===----------------------------------------------------------------------===//
 
-/// True if to compute the value in the frame takes longer than to load it.
+/// True if computing `value` in the frame takes longer than loading it.
 static bool isDear(Frame &frame, Value value) {
   double cost = 0;
   DenseSet<Operation *> seen;
@@ -140,8 +140,9 @@ Value StoredOutputs::load(AdjointBuilder &b, Frame &frame, Value value) {
   auto scope = b.enter(frame);
   b.setInsertionPoint(frame.recomputeBegin);
   b.setLoc(store.getLoc());
-  // Copies of the indices at the start of the mirror: values that the sweep
-  // recomputes may come after the load.
+  // The indices of the load are computed at the start of the mirror, by copies
+  // of their ops: the values that the sweep recomputes possibly come after the
+  // load.
   DenseMap<Value, Value> copies;
   std::function<Value(Value)> copy = [&](Value index) -> Value {
     Operation *op = index.getDefiningOp();

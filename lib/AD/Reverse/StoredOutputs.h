@@ -39,10 +39,10 @@ public:
     return found == places.end() ? nullptr : &found->second;
   }
 
-  /// The value as the kernel has left it in a field, loaded into the frame of
-  /// its block; null where that saves no work.
+  /// Loads, in the frame of its block, a value that the kernel has left in a
+  /// field; null if the value is in no field, or if loading it saves no work.
   Value load(AdjointBuilder &builder, Frame &frame, Value value);
-  /// The stores whose elements were loaded.
+  /// The primal stores whose stored values the adjoint loads.
   const llvm::SetVector<Operation *> &getUsed() const { return used; }
 
 private:

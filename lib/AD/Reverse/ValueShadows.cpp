@@ -19,7 +19,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The indices of a component, counted row by row, in the contents of `shadow`.
+/// The indices, in the memref `shadow`, of the component with row-major number
+/// `component`.
 static SmallVector<Value> createIndices(AdjointBuilder &b, Value shadow,
                                         int64_t component) {
   ArrayRef<int64_t> shape = cast<MemRefType>(shadow.getType()).getShape();

@@ -12,10 +12,11 @@
 
 namespace mlir::tai {
 
-/// Loads the adjoints of the function's results; at the start of the sweep.
+/// Emits loads of the adjoints of the function's results from memory of the
+/// caller, at the start of the sweep.
 void seedOutputs(AdjointBuilder &builder);
-/// Adds the adjoints of arguments to the memrefs of the caller; at the end of
-/// the sweep.
+/// Emits, at the end of the sweep, additions of the adjoints of the function's
+/// arguments to memory of the caller.
 void accumulateInputs(AdjointBuilder &builder);
 
 } // namespace mlir::tai

@@ -50,7 +50,7 @@ static constexpr StringLiteral kInlineFirst =
     "run 'inline' first; a function that calls itself, or that is defined "
     "elsewhere, cannot be differentiated";
 
-/// True for ops that only look at an array.
+/// True for ops that neither read nor write the elements of an array.
 static bool isQuery(Operation *op) {
   return isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(op);
 }
@@ -88,7 +88,7 @@ void Verifier::checkDeactivation() {
     FieldOp field = name ? lookupField(op, name) : FieldOp();
     return field ? field.getTreeAttr() : FlatSymbolRefAttr();
   };
-  // One access of each tree of fields.
+  // For each tree of fields that the primal accesses, one of the accesses.
   DenseMap<Attribute, Operation *> accessed;
   bool any = false;
   primal.walk([&](DifferentiableAccessInterface access) {

@@ -185,7 +185,7 @@ struct PolarModel
   }
 };
 
-/// Uᵀ G, or zeros if `g` is null.
+/// The product Uᵀ G; zeros if `g` is null.
 M getTurned(DerivativeBuilder &b, Value u, Value g) {
   if (!g)
     return {&b, b.createZero(u.getType())};
@@ -360,8 +360,9 @@ FactorRotations mlir::tai::createFactorRotations(TangentBuilder &b, SvdOp svd) {
       evens[j * n + i] = (-even).v;
       odds[i * n + j] = odd.v;
       odds[j * n + i] = (-odd).v;
-      // `rests` gets the part of P that the rotations of U and V leave, which
-      // can be non-zero only where a quotient was set to zero.
+      // `rests` gets, for each entry of P off the diagonal, the part that
+      // turning U and V does not account for. It can be non-zero only where a
+      // quotient was set to zero.
       S first = symmetric - even * difference, second = skew - odd * sum;
       rests[i * n + j] = (first + second).v;
       rests[j * n + i] = (first - second).v;

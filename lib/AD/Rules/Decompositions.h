@@ -39,15 +39,16 @@ inline S operator*(double a, S c) {
   return S{c.b, c.b->createConstant(c.v.getType(), a)} * c;
 }
 inline S abs(S a) { return {a.b, math::AbsFOp::create(*a.b, a.v)}; }
-/// The larger of `a` and `c`, and `c` if either is NaN; a single instruction on
-/// most targets.
+/// Returns the larger of `a` and `c`, and `c` if either is NaN: a single
+/// instruction on most targets.
 inline S max(S a, S c) {
   Value isLarger =
       arith::CmpFOp::create(*a.b, arith::CmpFPredicate::OGT, a.v, c.v);
   return {a.b, arith::SelectOp::create(*a.b, isLarger, a.v, c.v)};
 }
 
-/// `value`, or 0 where |a| <= `floor`. Where `a` is NaN, `value` as well.
+/// Returns `value`, or 0 where |a| <= `floor`. Where `a` is NaN, returns
+/// `value`.
 inline S keepAbove(S a, S floor, S value) {
   DerivativeBuilder &b = *a.b;
   Value isSmall =
@@ -56,10 +57,10 @@ inline S keepAbove(S a, S floor, S value) {
                   b, isSmall, b.createZero(value.v.getType()), value.v)};
 }
 
-/// a / c, or 0 where |c| <= `floor`.
+/// Returns a / c, or 0 where |c| <= `floor`.
 inline S divideAbove(S a, S c, S floor) { return keepAbove(c, floor, a / c); }
 
-/// a, or 0 where |a| <= `floor`.
+/// Returns `a`, or 0 where |a| <= `floor`.
 inline S dropBelow(S a, S floor) { return keepAbove(a, floor, a); }
 
 /// A small matrix with access to its entries.
@@ -71,7 +72,7 @@ struct M {
   }
 };
 
-/// The greatest magnitude of an entry.
+/// The greatest magnitude of an entry of the matrix.
 inline S getGreatest(M m) {
   int64_t n = getRows(m.v);
   S greatest = abs(m(0, 0));

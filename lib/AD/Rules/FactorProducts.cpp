@@ -41,7 +41,8 @@ static SvdOp getDecomposition(Value value) {
 }
 
 namespace {
-/// The positions in a chain of two factors of one decomposition.
+/// A pair of factors (U or V) of one singular value decomposition in a chain of
+/// matrix products, by their positions in the chain.
 struct FactorFrame {
   SvdOp svd;
   size_t first, last;
@@ -111,7 +112,8 @@ static Value createCommutator(TangentBuilder &b, Value turn, Value matrix) {
   return b.createVector(cast<VectorType>(turn.getType()), entries);
 }
 
-/// [E, M] for the product M of `factors`, null if there are none.
+/// Emits [E, M] = E M - M E for the product M of `factors`; null if there are
+/// no factors.
 static Value createCommutator(TangentBuilder &b, Value turn,
                               ArrayRef<Value> factors) {
   Value sum, before;

@@ -49,7 +49,8 @@ Value mlir::tai::createBilinearTangent(
 
 namespace {
 
-/// The model of an op with one result; `build` gets the adjoint of that result.
+/// Base of the models of ops with one result; Model::build gets the adjoint of
+/// that result.
 template <typename Model, typename OpTy>
 struct MatrixModel : DifferentiableOpInterface::ExternalModel<Model, OpTy> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
@@ -64,7 +65,7 @@ struct MatrixModel : DifferentiableOpInterface::ExternalModel<Model, OpTy> {
   }
 };
 
-/// R = A B:  A* += G Bᵀ,  B* += Aᵀ G.
+/// Adjoint of the matrix product R = A B:  A* += G Bᵀ,  B* += Aᵀ G.
 struct MatmulModel : MatrixModel<MatmulModel, MatmulOp> {
   void build(MatmulOp op, AdjointBuilder &b, Value g) const {
     Value lhs = op.getLhs(), rhs = op.getRhs();
@@ -80,7 +81,7 @@ struct MatmulModel : MatrixModel<MatmulModel, MatmulOp> {
       b.addAdjoint(rhs, guardFor(b, lhs, g, product));
     }
   }
-  /// Ṙ = Ȧ B + A Ḃ
+  /// Tangent of the matrix product R = A B:  Ṙ = Ȧ B + A Ḃ.
   Value extend(MatmulOp op, TangentBuilder &b) const {
     if (Value tangent = createFactorProductTangent(b, op))
       return tangent;
@@ -105,7 +106,7 @@ struct MatmulModel : MatrixModel<MatmulModel, MatmulOp> {
   }
 };
 
-/// R = Aᵀ:  A* += Gᵀ.
+/// Adjoint of the transpose R = Aᵀ:  A* += Gᵀ.
 struct TransposeModel : MatrixModel<TransposeModel, TransposeOp> {
   void build(TransposeOp op, AdjointBuilder &b, Value g) const {
     b.addAdjoint(op.getMatrix(), createTranspose(b, g));
@@ -115,7 +116,7 @@ struct TransposeModel : MatrixModel<TransposeModel, TransposeOp> {
   }
 };
 
-/// r = Σ aᵢ bᵢ:  a* += g b,  b* += g a.
+/// Adjoint of the dot product r = Σ aᵢ bᵢ:  a* += g b,  b* += g a.
 struct DotModel : MatrixModel<DotModel, DotOp> {
   void build(DotOp op, AdjointBuilder &b, Value g) const {
     Value lhs = op.getLhs(), rhs = op.getRhs();
@@ -124,7 +125,7 @@ struct DotModel : MatrixModel<DotModel, DotOp> {
         b.addAdjoint(
             to, guardFor(b, other, g, createScaled(b, b.getPrimal(other), g)));
   }
-  /// ṙ = Σ ȧᵢ bᵢ + aᵢ ḃᵢ
+  /// Tangent of the dot product:  ṙ = Σ ȧᵢ bᵢ + aᵢ ḃᵢ.
   Value extend(DotOp op, TangentBuilder &b) const {
     int64_t n = cast<VectorType>(op.getLhs().getType()).getNumElements();
     return createBilinearTangent(
@@ -141,7 +142,7 @@ struct DotModel : MatrixModel<DotModel, DotOp> {
   }
 };
 
-/// r = Σ aᵢ:  a* += g everywhere.
+/// Adjoint of the sum r = Σ aᵢ:  g is added to each component of a*.
 struct SumModel : MatrixModel<SumModel, SumOp> {
   void build(SumOp op, AdjointBuilder &b, Value g) const {
     b.addAdjoint(op.getVector(),
@@ -152,7 +153,7 @@ struct SumModel : MatrixModel<SumModel, SumOp> {
   }
 };
 
-/// R = a × b:  a* += b × G,  b* += G × a.
+/// Adjoint of the cross product R = a × b:  a* += b × G,  b* += G × a.
 struct CrossModel : MatrixModel<CrossModel, CrossOp> {
   void build(CrossOp op, AdjointBuilder &b, Value g) const {
     Value lhs = op.getLhs(), rhs = op.getRhs();
@@ -165,7 +166,7 @@ struct CrossModel : MatrixModel<CrossModel, CrossOp> {
           rhs, guardFor(b, lhs, g,
                         CrossOp::create(b, g.getType(), g, b.getPrimal(lhs))));
   }
-  /// Ṙ = ȧ × b + a × ḃ
+  /// Tangent of the cross product R = a × b:  Ṙ = ȧ × b + a × ḃ.
   Value extend(CrossOp op, TangentBuilder &b) const {
     auto type = cast<VectorType>(op.getType());
     return createBilinearTangent(
@@ -185,7 +186,7 @@ struct CrossModel : MatrixModel<CrossModel, CrossOp> {
   }
 };
 
-/// R = a bᵀ:  a* += G b,  b* += Gᵀ a.
+/// Adjoint of the outer product R = a bᵀ:  a* += G b,  b* += Gᵀ a.
 struct OuterModel : MatrixModel<OuterModel, OuterOp> {
   void build(OuterOp op, AdjointBuilder &b, Value g) const {
     Value lhs = op.getLhs(), rhs = op.getRhs();
@@ -195,7 +196,7 @@ struct OuterModel : MatrixModel<OuterModel, OuterOp> {
       b.addAdjoint(rhs,
                    createMatmul(b, createTranspose(b, g), b.getPrimal(lhs)));
   }
-  /// Ṙ = ȧ bᵀ + a ḃᵀ
+  /// Tangent of the outer product R = a bᵀ:  Ṙ = ȧ bᵀ + a ḃᵀ.
   Value extend(OuterOp op, TangentBuilder &b) const {
     auto type = cast<VectorType>(op.getType());
     return createBilinearTangent(
@@ -211,7 +212,7 @@ struct OuterModel : MatrixModel<OuterModel, OuterOp> {
   }
 };
 
-/// r = ‖a‖:  a* += g (a / r), and nothing where r = 0.
+/// Adjoint of the norm r = ‖a‖:  a* += g (a / r), and nothing where r = 0.
 struct NormModel : MatrixModel<NormModel, NormOp> {
   void build(NormOp op, AdjointBuilder &b, Value g) const {
     Value vector = op.getVector(), a = b.getPrimal(vector);
@@ -234,7 +235,7 @@ struct NormModel : MatrixModel<NormModel, NormOp> {
     b.addAdjoint(vector, guardFor(b, vector, g, product));
   }
 
-  /// ṙ = (a / r) · ȧ, and 0 where r = 0.
+  /// Tangent of the norm r = ‖a‖:  ṙ = (a / r) · ȧ, and 0 where r = 0.
   Value extend(NormOp op, TangentBuilder &b) const {
     Value vector = op.getVector(), r = op.getResult();
     Value length = vector::BroadcastOp::create(b, vector.getType(), r);
@@ -264,7 +265,8 @@ struct StopGradientModel
   bool carriesDerivative(Operation *, OpOperand &) const { return false; }
 };
 
-/// R = A, and has the derivative of B:  B* += G.
+/// Adjoint of an op whose result R has the value of A and the derivative of B:
+/// B* += G.
 struct DeriveAsModel
     : DifferentiableOpInterface::ExternalModel<DeriveAsModel, DeriveAsOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
@@ -282,7 +284,7 @@ struct DeriveAsModel
   }
 };
 
-/// r = tr A:  the diagonal of A* += g.
+/// Adjoint of the trace r = tr A:  g is added to the diagonal of A*.
 struct TraceModel : MatrixModel<TraceModel, TraceOp> {
   void build(TraceOp op, AdjointBuilder &b, Value g) const {
     int64_t n = getRows(op.getMatrix());
@@ -320,7 +322,7 @@ Value createMinor(DerivativeBuilder &b, Value matrix, ArrayRef<int64_t> rows,
   return sum;
 }
 
-/// The cofactors of a matrix, row-major.
+/// Emits the cofactors of a square matrix, in row-major order.
 SmallVector<Value> createCofactors(DerivativeBuilder &b, Value matrix) {
   int64_t n = getRows(matrix);
   SmallVector<Value> cofactors;
@@ -341,7 +343,7 @@ SmallVector<Value> createCofactors(DerivativeBuilder &b, Value matrix) {
   return cofactors;
 }
 
-/// r = det A:  A* += g cof A.
+/// Adjoint of the determinant r = det A:  A* += g cof A.
 struct DeterminantModel : MatrixModel<DeterminantModel, DeterminantOp> {
   void build(DeterminantOp op, AdjointBuilder &b, Value g) const {
     Value matrix = op.getMatrix();
@@ -351,7 +353,7 @@ struct DeterminantModel : MatrixModel<DeterminantModel, DeterminantOp> {
     Value sum = b.createVector(cast<VectorType>(matrix.getType()), components);
     b.addAdjoint(matrix, guardFor(b, matrix, g, sum));
   }
-  /// ṙ = Σ cof(A)ᵢⱼ Ȧᵢⱼ
+  /// Tangent of the determinant r = det A:  ṙ = Σ cof(A)ᵢⱼ Ȧᵢⱼ.
   Value extend(DeterminantOp op, TangentBuilder &b) const {
     Value matrix = op.getMatrix(), tangent = b.getTangent(matrix);
     Value cofactors = b.createVector(cast<VectorType>(matrix.getType()),
@@ -363,7 +365,7 @@ struct DeterminantModel : MatrixModel<DeterminantModel, DeterminantOp> {
   }
 };
 
-/// R = A⁻¹:  A* -= Rᵀ G Rᵀ.
+/// Adjoint of the inverse R = A⁻¹:  A* -= Rᵀ G Rᵀ.
 struct InverseModel : MatrixModel<InverseModel, InverseOp> {
   void build(InverseOp op, AdjointBuilder &b, Value g) const {
     Value t = createTranspose(b, b.getPrimal(op.getResult()));
@@ -371,7 +373,7 @@ struct InverseModel : MatrixModel<InverseModel, InverseOp> {
     b.addAdjoint(op.getMatrix(),
                  createMatrixGuard(b, g, arith::NegFOp::create(b, product)));
   }
-  /// Ṙ = -R Ȧ R
+  /// Tangent of the inverse R = A⁻¹:  Ṙ = -R Ȧ R.
   Value extend(InverseOp op, TangentBuilder &b) const {
     Value r = op.getResult(), tangent = b.getTangent(op.getMatrix());
     Value product = createMatmul(b, createMatmul(b, r, tangent), r);
@@ -379,7 +381,7 @@ struct InverseModel : MatrixModel<InverseModel, InverseOp> {
   }
 };
 
-/// A x = b:  b* += A⁻ᵀ G,  A* -= (A⁻ᵀ G) xᵀ.
+/// Adjoint of the solution x of A x = b:  b* += A⁻ᵀ G,  A* -= (A⁻ᵀ G) xᵀ.
 struct SolveModel : MatrixModel<SolveModel, SolveOp> {
   void build(SolveOp op, AdjointBuilder &b, Value g) const {
     Value transposed = createTranspose(b, b.getPrimal(op.getMatrix()));
@@ -392,7 +394,7 @@ struct SolveModel : MatrixModel<SolveModel, SolveOp> {
     b.addAdjoint(op.getMatrix(),
                  createMatrixGuard(b, g, arith::NegFOp::create(b, product)));
   }
-  /// ẋ = A⁻¹ (ḃ - Ȧ x)
+  /// Tangent of the solution x of A x = b:  ẋ = A⁻¹ (ḃ - Ȧ x).
   Value extend(SolveOp op, TangentBuilder &b) const {
     Value rest = b.getTangent(op.getRhs());
     if (Value tangent = b.getTangent(op.getMatrix())) {

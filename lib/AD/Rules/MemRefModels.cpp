@@ -135,7 +135,8 @@ struct AtomicModel : AccessModel<AtomicModel, memref::AtomicRMWOp> {
                              Storage tangents) const;
 };
 
-// The same rule as for `tai.atomic`: see TaiModels.cpp.
+// The tangent of a memref.atomic_rmw follows the rule for `tai.atomic`; see
+// TaiModels.cpp.
 LogicalResult AtomicModel::buildTangent(Operation *op, TangentBuilder &b,
                                         Storage tangents) const {
   using Kind = arith::AtomicRMWKind;

@@ -39,7 +39,7 @@ LogicalResult extendFor(scf::ForOp op, TangentBuilder &b);
 LogicalResult extendWhile(scf::WhileOp op, TangentBuilder &b);
 LogicalResult extendParallel(scf::ParallelOp op, TangentBuilder &b);
 
-/// How an atomic update combines the element with a value.
+/// How an atomic update combines the old value of an element with a new value.
 enum class UpdateKind { Product, Greatest, Least };
 /// The tangent of an element after an update, given the element and its tangent
 /// before, and the value and its tangent. On a tie the derivative goes to the

@@ -107,7 +107,8 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
           << "count in 'index', from zero to the number of iterations";
       return failure();
     }
-    // The reversed loop carries the adjoints of the carried values.
+    // The reversed loop carries the adjoints of the active values that the loop
+    // carries.
     SmallVector<unsigned> carried;
     SmallVector<Value> inits;
     for (auto [i, argument] : llvm::enumerate(primal.getRegionIterArgs()))
@@ -209,7 +210,8 @@ struct WhileModel
     if (failed(b.reverseBlock(primal.getAfterBody(), after, begin, end)))
       return failure();
 
-    // The loop carries the sums of captured adjoints with the primal values.
+    // The reversed scf.while carries, beside primal values, the sums of the
+    // adjoints of captured values.
     auto condition = cast<scf::ConditionOp>(before->getTerminator());
     SmallVector<Type> types(primal.getResultTypes());
     SmallVector<Value> passed(condition.getArgs());
@@ -248,8 +250,8 @@ struct WhileModel
                             [&](Value result) { return b.getAdjoint(result); });
     LoopHistory history(b, primal);
 
-    // The last evaluation of the condition, whose operands are the results of
-    // the loop.
+    // Reverse the last evaluation of the condition: the operands of its
+    // terminator are the results of the loop.
     SmallVector<Value> inits;
     Captured captured;
     auto beginLast = [&](Frame &frame) {

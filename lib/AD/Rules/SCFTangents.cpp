@@ -159,7 +159,8 @@ LogicalResult mlir::tai::extendParallel(scf::ParallelOp op, TangentBuilder &b) {
           << "carry the value through an 'scf.for'";
       return failure();
     }
-  // The tangent of a sum is the sum of the tangents.
+  // For each sum that scf.reduce computes, add a reduction that sums the
+  // tangents.
   {
     OpBuilder::InsertionGuard guard(b);
     b.setInsertionPoint(reduce);

@@ -33,9 +33,9 @@ static const ScalarRule &getRule(Operation *op) {
   return *rules.at(op->getName().getStringRef());
 }
 
-/// Builds the contribution of `partial`; of the cofactors, if the operands have
-/// a shared factor. Where that factor is zero, the contribution of atan2 is
-/// zero whatever the cofactors are.
+/// Builds the contribution of one partial derivative. If both operands have a
+/// shared factor, the op is differentiated by their cofactors; where the shared
+/// factor is zero, the contribution of atan2 is zero.
 static Value build(const Partial &partial, RuleArgs &args,
                    const std::optional<SharedFactor> &shared) {
   if (!shared)
@@ -199,7 +199,7 @@ struct ScalarModel
   }
 };
 
-/// Two results: sin x and cos x.
+/// math.sincos has two results, sin x and cos x.
 struct SincosModel
     : DifferentiableOpInterface::ExternalModel<SincosModel, math::SincosOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {

@@ -29,7 +29,7 @@ Num RuleArgs::cast(Num a, unsigned i) {
 }
 
 //===----------------------------------------------------------------------===//
-// Conditions under which a partial may not be finite
+// Tests whether a partial derivative may be infinite or NaN
 //===----------------------------------------------------------------------===//
 
 static Value operand(RuleArgs &a, unsigned i) {
@@ -78,7 +78,7 @@ static Num round(Num a) { return make<math::RoundEvenOp>(a); }
 static Num pow(Num a, Num b) { return make<math::PowFOp>(a, b); }
 static Num copysign(Num a, Num b) { return make<math::CopySignOp>(a, b); }
 
-/// ±g by the sign of x, and 0 at x = 0.
+/// Returns g with the sign of x: g for x > 0, -g for x < 0, and 0 at x = 0.
 static Num bySign(Num x, Num g) { return select(x > 0, g, where(x < 0, -g)); }
 
 /// The contribution to the first operand of max or min, which is chosen where
@@ -149,9 +149,9 @@ static Num powerByX(RuleArgs &a) {
              : unless(a.y() == 0, contribution);
 }
 
-/// g n / (x^2 + y^2) with n = y or -x; 0 where x and y are both 0 or one of
-/// them is infinite. Both are scaled by a power of two where their squares
-/// would over- or underflow.
+/// The contribution to an operand of atan2(y, x): g n / (x^2 + y^2) with n = y
+/// or -x; 0 where x and y are both 0 or one of them is infinite. x and y are
+/// scaled by a power of two where their squares would overflow or underflow.
 static Num atan2By(RuleArgs &a, bool byX) {
   Num x = a.x(), y = a.y();
   bool isDouble = getElementTypeOrSelf(x.value.getType()).isF64();

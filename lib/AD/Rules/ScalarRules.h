@@ -87,14 +87,15 @@ inline Num unless(Truth condition, Num a) {
   return select(condition, constant(a, 0), a);
 }
 
-/// The values that a formula may use. Primal values are recomputed only if they
-/// are used.
+/// The values that the formula of a derivative rule may use. A primal value is
+/// recomputed in the adjoint only if the formula uses it.
 class RuleArgs {
 public:
-  /// Backward, `seed` is the adjoint of the result, and a formula yields the
-  /// contribution to the adjoint of its operand. It is linear in the seed, and
-  /// component-wise: so it is its own transpose, and with the tangent of the
-  /// operand as the seed it yields the contribution to the tangent of the
+  /// Whether a formula is used for an adjoint or a tangent. Backward: `seed` is
+  /// the adjoint of the result, and the formula yields the contribution to the
+  /// adjoint of an operand. A formula is linear in the seed and component-wise,
+  /// so that it is its own transpose. Forward: `seed` is the tangent of the
+  /// operand, and the formula yields the contribution to the tangent of the
   /// result.
   enum class Mode { Backward, Forward };
 
@@ -102,7 +103,8 @@ public:
            Mode mode = Mode::Backward)
       : builder(builder), op(op), seed(seed), mode(mode) {}
 
-  /// The adjoint of the result, or the tangent of the operand.
+  /// The seed of the formula: the adjoint of the result, or in forward mode the
+  /// tangent of the operand.
   Num g() { return {&builder, seed}; }
   /// The operands.
   Num x() { return use(getOperand(0)); }
@@ -110,16 +112,18 @@ public:
   Num z() { return use(getOperand(2)); }
   /// The result.
   Num r() { return use(op->getResult(0)); }
-  /// A condition or an integer operand.
+  /// Operand number `i`, which is a condition or an integer.
   Truth truth(unsigned i) {
     return {&builder, builder.getPrimal(op->getOperand(i))};
   }
-  /// Replaces the first operands; null stands for the constant 1. For an
-  /// equivalent op with the same derivative (see SharedFactors.h).
+  /// Makes the rule use `values` in place of the first operands of the op; null
+  /// stands for the constant 1. Used to differentiate an equivalent op (see
+  /// SharedFactors.h).
   void setOperands(ArrayRef<Value> values) {
     replaced.assign(values.begin(), values.end());
   }
-  /// An operand; null stands for the constant 1.
+  /// Operand number `i`, or the value set by setOperands in its place; null
+  /// stands for the constant 1.
   Value getOperand(unsigned i) {
     return i < replaced.size() ? replaced[i] : op->getOperand(i);
   }
@@ -128,10 +132,11 @@ public:
   Num cast(Num a, unsigned i);
 
   Operation *getOperation() { return op; }
-  /// The subgradients that the program chose at kinks.
+  /// The subgradients that the program chose at kinks, such as |x| at 0.
   Conventions getConventions() { return Conventions::of(op); }
   FloatFacts &facts() { return builder.getFacts(); }
-  /// True if some primal value used so far may be infinite or NaN.
+  /// True if some primal value that the formula has used so far may be infinite
+  /// or NaN.
   bool usesNonFinite() const { return usedNonFinite; }
 
 private:
@@ -164,7 +169,8 @@ struct Partial {
   Num (*build)(RuleArgs &);
 };
 
-/// The rule of one op. Operands without a partial have the derivative zero.
+/// The derivative rule of one op: its partial derivatives. An operand without a
+/// partial has derivative zero.
 struct ScalarRule {
   const char *op;
   SmallVector<Partial, 3> partials;

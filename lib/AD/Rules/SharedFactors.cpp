@@ -14,8 +14,8 @@ using namespace mlir::tai;
 
 using Ways = SmallVector<std::pair<Value, Value>, 3>;
 
-/// The ways to write `value` as a factor and a cofactor, null for 1. Products
-/// are taken apart if they are in the block of `user`.
+/// All ways to write `value` as a factor times a cofactor; a null cofactor
+/// stands for 1. A product is taken apart if it is in the block of `user`.
 static Ways split(Value value, Operation *user) {
   Ways ways = {{value, Value()}};
   if (auto product = value.getDefiningOp<arith::MulFOp>();

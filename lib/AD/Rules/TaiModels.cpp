@@ -59,9 +59,9 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
   }
 
 private:
-  /// `type` with the float type of the field in `storage`, which may be wider:
-  /// gradients of narrow floats are sums, which would lose digits in narrow
-  /// floats.
+  /// Replaces the float type in `type` by that of the field in `storage`. An
+  /// adjoint field may have a wider type than its primal: gradients of narrow
+  /// floats are sums, which would lose digits in narrow floats.
   static Type getStoredType(Operation *op, Storage storage, Type type) {
     FieldOp field = lookupField(op, storage.field);
     Type element = getElementTypeOrSelf(field.getType());

@@ -218,22 +218,22 @@ struct TransposeModel : LinearModel<TransposeModel, vector::TransposeOp> {
   }
 };
 
-/// The sum, product, least or greatest of the components. In a tie the
-/// derivative goes to the last component, as to the second operand of
-/// `arith.maximumf`, or is shared.
+/// Rules of vector.reduction: the sum, product, least or greatest of the
+/// components. In a tie the derivative goes to the last component, as
+/// `arith.maximumf` gives it to the second operand, or is shared.
 struct ReductionModel
     : DifferentiableOpInterface::ExternalModel<ReductionModel,
                                                vector::ReductionOp> {
   using Kind = vector::CombiningKind;
 
-  /// For minimum and maximum: the comparison of an operand with the result that
-  /// holds only if they are equal.
+  /// For minimum and maximum: a comparison of an operand with the result that
+  /// holds only if the operand is the extreme value.
   static arith::CmpFPredicate getPredicate(Kind kind) {
     bool isMax = kind == Kind::MAXIMUMF || kind == Kind::MAXNUMF;
     return isMax ? arith::CmpFPredicate::OGE : arith::CmpFPredicate::OLE;
   }
-  /// Tests for each operand whether it equals `result`, and counts the operands
-  /// that do.
+  /// For each operand of a minimum or maximum, emits a test whether it equals
+  /// `result`; also emits the number of operands that do.
   static std::pair<SmallVector<Value>, Value>
   findWinners(DerivativeBuilder &b, Kind kind, ArrayRef<Value> operands,
               Value result) {
@@ -323,8 +323,8 @@ struct ReductionModel
     if (acc)
       operands.push_back(b.getPrimal(acc));
     if (kind == Kind::MUL) {
-      // The seed of a factor: the product of the factors before it times the
-      // product of the factors after it.
+      // The seed of a factor of a product is the product of all other factors:
+      // those before it times those after it.
       Value before = seed;
       for (Value operand : operands) {
         seeds.push_back(before);
@@ -366,7 +366,8 @@ struct ReductionModel
   }
 
 private:
-  /// Whether a factor may be infinite, so that a zero times it is NaN.
+  /// Whether a factor of the product may be infinite, so that a zero seed times
+  /// it would be NaN.
   static bool mayBeNonFinite(vector::ReductionOp op, DerivativeBuilder &b) {
     Value acc = op.getAcc();
     return b.getFacts().mayBeNonFinite(op.getVector()) ||
