@@ -21,13 +21,15 @@
 
 namespace mlir::tai {
 
-/// Runs a task. After a fatal error in it, `broken` is true, and the objects
-/// that the task worked on must be neither used nor destroyed. `place` names
-/// the point for injected failures (InjectedFailures.h).
+/// Runs `task`, in which LLVM can meet a fatal error. If it does, `broken`
+/// becomes true, and the objects that the task worked on must be neither used
+/// nor destroyed. `place` names this point for failures that tests inject
+/// (InjectedFailures.h).
 llvm::Error guardFatalErrors(bool &broken, llvm::StringRef place,
                              llvm::function_ref<void()> task);
 
-/// Keeps the first error that code generation reports.
+/// A diagnostic handler that keeps the first error that code generation
+/// reports.
 struct CodegenErrors : llvm::DiagnosticHandler {
   explicit CodegenErrors(std::string &message) : message(message) {}
 

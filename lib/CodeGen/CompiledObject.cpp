@@ -42,7 +42,8 @@ static std::optional<StringRef> consume(StringRef &bytes) {
   return string;
 }
 
-/// Appends numbers as one string, with eight bytes for each number.
+/// Appends a list of numbers as one string, in which each number takes eight
+/// bytes.
 static void append(std::string &bytes, ArrayRef<int64_t> numbers) {
   std::string string(8 * numbers.size(), '\0');
   for (auto [i, number] : enumerate(numbers))

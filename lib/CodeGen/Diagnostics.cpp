@@ -42,7 +42,7 @@ static void appendSourceLine(std::string &text, StringRef file, unsigned number,
   text += (line + "\n").str();
   if (column == 0 || column > line.size() + 1)
     return;
-  // Copy tabs, so that the caret is below its column.
+  // Copy tabs from the source line, so that the caret is below its column.
   for (char c : line.take_front(column - 1))
     text += c == '\t' ? '\t' : ' ';
   text += "^\n";
@@ -72,7 +72,7 @@ static std::string formatAt(FileLineColLoc place, StringRef kind,
 static void appendDiagnostic(std::string &text, Location location,
                              StringRef kind, StringRef message) {
   text += formatAt(findFileLocation(location), kind, message);
-  // For inlined code, report the place of the call.
+  // If the code was inlined, also report where the function was called.
   location->walk([&](Location inner) {
     if (auto call = dyn_cast<CallSiteLoc>(inner))
       if (FileLineColLoc caller = findFileLocation(call.getCaller()))

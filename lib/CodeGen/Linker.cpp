@@ -23,7 +23,8 @@ using namespace mlir::tai;
 Linker::Linker() = default;
 
 Linker::~Linker() {
-  // End the session first: it frees the linked code through the layer.
+  // End the session before destroying the layer: the session frees the linked
+  // code through the layer.
   if (session)
     consumeError(session->endSession());
   layer.reset();
@@ -32,14 +33,15 @@ Linker::~Linker() {
 Expected<std::unique_ptr<Linker>>
 Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
   std::unique_ptr<Linker> linker(new Linker());
-  // Link on the calling thread: the compiler has threads of its own.
+  // Link on the calling thread, without threads of the session's own: the
+  // compiler has its own threads.
   auto control = SelfExecutorProcessControl::Create(
       nullptr, std::make_unique<InPlaceTaskDispatcher>());
   if (!control)
     return control.takeError();
   linker->session = std::make_unique<ExecutionSession>(std::move(*control));
-  // Collect the reasons of errors, which the returned errors lack, and print
-  // nothing.
+  // The session's error reporter collects the reasons of errors, which the
+  // returned errors lack, and prints nothing.
   linker->session->setErrorReporter([linker = linker.get()](Error error) {
     std::lock_guard<std::mutex> lock(linker->mutex);
     linker->reasons +=
@@ -111,7 +113,8 @@ Expected<Linker::Linked> Linker::link(ArrayRef<char> object,
 void Linker::unload(Library *library) {
   consumeError(session->removeJITDylib(*library));
   linked.fetch_sub(1, std::memory_order_relaxed);
-  // Unused symbol names are kept until the next clean-up.
+  // The session keeps the names of unused symbols until they are cleaned up;
+  // this is done after each 256th unloading.
   constexpr uint64_t often = 256;
   if (unloaded.fetch_add(1, std::memory_order_relaxed) % often == often - 1)
     session->getSymbolStringPool()->clearDeadEntries();

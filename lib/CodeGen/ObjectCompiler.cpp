@@ -47,7 +47,8 @@ const TargetCpu &TargetCpu::getHost() {
     TargetCpu cpu;
     cpu.triple = sys::getProcessTriple();
     cpu.name = sys::getHostCPUName().str();
-    // Sorted, because the string is part of the key of cached code.
+    // Sort the names of CPU features, because the string is part of the key of
+    // cached code.
     StringMap<bool> map = sys::getHostCPUFeatures();
     SmallVector<StringRef> names(map.keys());
     sort(names);
@@ -107,8 +108,8 @@ ObjectCompiler::create(const CodegenOptions &options) {
       CodeGenOptLevel::None, CodeGenOptLevel::Less, CodeGenOptLevel::Default,
       CodeGenOptLevel::Aggressive};
   std::unique_ptr<ObjectCompiler> compiler(new ObjectCompiler(options));
-  // Position-independent code in the small model: the linker may place the code
-  // anywhere, and reaches the runtime through its own table.
+  // Compile position-independent code in the small code model: the linker may
+  // place the code anywhere, and reaches the runtime through its own table.
   compiler->machine.reset(target->createTargetMachine(
       triple, cpu->name, cpu->features, targetOptions, Reloc::PIC_,
       CodeModel::Small, levels[std::min(options.optLevel, 3u)], /*JIT=*/true));
@@ -151,13 +152,14 @@ Error ObjectCompiler::optimize(Module &module) {
   return guardFatalErrors(broken, "optimize", [&] { runPasses(module); });
 }
 
-/// Whether straight-line code is vectorised. The vectoriser's time grows with
-/// the square of a block's size, and unrolled programs have blocks that would
-/// take seconds. Blocks of compensated sums are longer for the same work, and
-/// gain more.
+/// Whether the SLP vectoriser should run on the module. Its time grows with the
+/// square of a block's size, and unrolled programs have blocks that would take
+/// seconds. Blocks with compensated sums are longer for the same work and gain
+/// more, so they may be larger.
 static bool hasBlocksForVectors(const Module &module) {
   for (const Function &function : module) {
-    // The modes of the function's kernel, as Modes.h writes them.
+    // The attribute holds the modes of the kernel that the function belongs to,
+    // as Modes.h writes them.
     StringRef modes = function.getFnAttribute("tai.modes").getValueAsString();
     size_t most = modes.contains("sums=compensated") ? 5000 : 2000;
     for (const BasicBlock &block : function)
@@ -168,9 +170,10 @@ static bool hasBlocksForVectors(const Module &module) {
 }
 
 namespace {
-/// Value numbering that does not carry a load over to the next iteration of a
-/// loop. A stencil reads each element in several iterations, and a value that
-/// is carried across branches or stores keeps the loop from being vectorised.
+/// Global value numbering without one of its transformations: it would carry a
+/// load over to the next iteration of a loop. A stencil reads each element in
+/// several iterations, and a value carried across branches or stores keeps the
+/// loop from being vectorised.
 struct StencilGVN : PassInfoMixin<StencilGVN> {
   PreservedAnalyses run(Function &function, FunctionAnalysisManager &analyses) {
     return GVNPass(GVNOptions().setLoadInLoopPRE(false))
@@ -213,8 +216,8 @@ void ObjectCompiler::runPasses(Module &module) {
   CGSCCAnalysisManager sccs;
   ModuleAnalysisManager modules;
   TargetLibraryInfoImpl libraryInfo(machine->getTargetTriple());
-  // Otherwise pow(2^n, x) becomes exp2(n x): the product is rounded, and the
-  // error grows with it.
+  // Disable the transformation of pow(2^n, x) to exp2(n x): the product is
+  // rounded, and the error grows with it.
   if (!options.fastMath)
     for (LibFunc function : {LibFunc_exp2, LibFunc_exp2f, LibFunc_exp2l})
       libraryInfo.setUnavailable(function);
@@ -245,8 +248,8 @@ void ObjectCompiler::runPasses(Module &module) {
         early.addPass(KeepHugeLoopsScalar());
         if (level == OptimizationLevel::O0)
           return;
-        // Registers the functions that have vector forms. The pipeline's own
-        // such pass runs too late.
+        // Registers the functions that have vector forms. The pipeline has a
+        // pass for this, which runs too late.
         early.addPass(InjectTLIMappings());
         // With fast_math, loops call the vector functions of glibc where these
         // exist, since they are shorter.
@@ -259,9 +262,10 @@ void ObjectCompiler::runPasses(Module &module) {
       [&](FunctionPassManager &late, OptimizationLevel level) {
         late.addPass(TransposeColumns());
         late.addPass(WidenSums());
-        // Without contraction, calls that may be contracted belong to
-        // deterministic kernels. Their results must not depend on whether a
-        // loop is vectorised, which depends on the work that passes removed.
+        // Calls that may be contracted, in a kernel compiled without
+        // contraction, belong to a deterministic kernel. Its results must not
+        // depend on whether a loop is vectorised, and vectorisation depends on
+        // the work that passes removed.
         if (!options.fastMath && level != OptimizationLevel::O0)
           late.addPass(
               MatchScalarMath(*vectorMath, /*everywhere=*/!options.contract));

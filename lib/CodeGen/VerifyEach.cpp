@@ -21,7 +21,7 @@ bool mlir::tai::verifiesEach() {
   return given && StringRef(given) == "1";
 }
 
-/// The names of tai's own passes contain their namespace.
+/// True for tai's own passes, whose names contain the namespace.
 static bool isOurs(StringRef pass) {
   return pass.contains("tai::") || pass.contains("StencilGVN");
 }

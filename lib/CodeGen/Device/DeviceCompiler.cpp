@@ -168,8 +168,8 @@ DeviceCompiler::create(const DeviceTarget &target,
     return createStringError("no code generator for NVIDIA GPUs: %s",
                              message.c_str());
   llvm::TargetOptions targetOptions;
-  // In PTX, each operation says whether it is fused: ptxas would fuse by
-  // default.
+  // PTX operations must say whether they may be fused, because ptxas fuses
+  // multiplications and additions by default.
   targetOptions.AllowFPOpFusion = options.contract || options.fastMath
                                       ? llvm::FPOpFusion::Fast
                                       : llvm::FPOpFusion::Strict;
@@ -224,9 +224,10 @@ static std::string getUsers(const llvm::Function &missing) {
                         : "'" + llvm::join(sorted, "', '") + "'";
 }
 
-/// Replaces calls of __nvvm_reflect, by which libdevice asks its compiler
-/// `question`, by `answer`. LLVM itself answers the questions about denormals
-/// and about the processor.
+/// Replaces calls of __nvvm_reflect with the argument `question` by the
+/// constant `answer`. Libdevice makes these calls to ask its compiler about
+/// modes; LLVM itself answers the questions about denormals and about the
+/// processor.
 static void answerReflection(llvm::Module &module, StringRef question,
                              unsigned answer) {
   llvm::Function *reflect = module.getFunction("__nvvm_reflect");
@@ -300,7 +301,7 @@ llvm::Function *mlir::tai::addSlotsFunction(llvm::Function &kernel) {
     llvm::Value *slot = builder.CreateConstInBoundsGEP1_64(
         builder.getInt64Ty(), wrapper->getArg(0), parameter.getArgNo());
     llvm::Type *type = parameter.getType();
-    // An i1 is passed as a byte.
+    // A parameter of type i1 takes a byte of its slot.
     if (type->isIntegerTy(1))
       arguments.push_back(builder.CreateTrunc(
           builder.CreateAlignedLoad(builder.getInt8Ty(), slot, llvm::Align(8)),
@@ -345,12 +346,13 @@ void DeviceCompiler::prepareForCuda(llvm::Module &module) {
   auto isKernel = [](const llvm::Function &function) {
     return function.getCallingConv() == llvm::CallingConv::PTX_Kernel;
   };
-  // Libdevice has one mode for the whole module: kernels that keep denormals
-  // must not lose them because another kernel flushes.
+  // The module flag "nvvm-reflect-ftz" makes all of libdevice flush denormals,
+  // so it is set only if all kernels of the module flush.
   auto kernels = llvm::make_filter_range(module, isKernel);
   if (!kernels.empty() && llvm::all_of(kernels, saysFlush))
     module.addModuleFlag(llvm::Module::Override, "nvvm-reflect-ftz", 1);
-  // Memory order matters only among the threads of this device.
+  // Atomic operations order memory only among the threads of this device, so
+  // their scope is the device.
   llvm::SyncScope::ID device =
       module.getContext().getOrInsertSyncScopeID("device");
   for (llvm::Function &function : module) {
@@ -402,7 +404,8 @@ Expected<runtime::DeviceImage> DeviceCompiler::finish(
     if (*known)
       return std::move(**known);
   }
-  // Scatters were combined, if at all, when the kernels were compiled.
+  // Additions of a warp to data-dependent elements have been combined, if at
+  // all, when the kernels were compiled, so they are not combined again.
   llvm::SaveAndRestore combine(options.combineScatters, false);
   if (Error error = optimize(code))
     return error;
@@ -464,8 +467,8 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
     return createStringError("");
   llvm::Module &module = *code.module;
   setTarget(module);
-  // In modules of kernels, each operation has its own flags, and has none where
-  // the order of roundings matters.
+  // If any operation allows approximate functions, the kernels' own fast-math
+  // flags are kept: they are absent where the order of roundings matters.
   if (isCuda() && options.fastMath && !saysWhatIsApproximate(module))
     allowFastMath(module);
   SmallVector<llvm::GlobalValue *> visible;
@@ -537,8 +540,8 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
   llvm::FunctionAnalysisManager functions;
   llvm::CGSCCAnalysisManager sccs;
   llvm::ModuleAnalysisManager modules;
-  // The target machine registers its own passes, including the pass that
-  // answers libdevice's questions.
+  // The PassBuilder gets the target machine, which registers passes of its own,
+  // such as the pass that answers libdevice's questions.
   llvm::PassInstrumentationCallbacks callbacks;
   verifyOwnPasses(callbacks);
   llvm::PassBuilder builder(machine.get(), llvm::PipelineTuningOptions(),
@@ -578,7 +581,7 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
 // Emission
 //===----------------------------------------------------------------------===//
 
-/// Functions that the driver provides.
+/// True for the functions that the CUDA driver provides to device code.
 static bool isDriverFunction(StringRef name) {
   return name == "malloc" || name == "free" || name == "vprintf";
 }
@@ -601,14 +604,14 @@ static Error checkExternals(const llvm::Module &module) {
                            missing.c_str());
 }
 
-/// Like checkExternals above, for functions that the code generator itself
-/// calls.
+/// Fails if PTX calls a function that a GPU does not have. Unlike the overload
+/// above, finds calls that the code generator itself has inserted.
 static Error checkExternals(StringRef ptx) {
   constexpr StringLiteral keyword = ".extern .func";
   for (size_t at = ptx.find(keyword); at != StringRef::npos;
        at = ptx.find(keyword, at)) {
     StringRef text = ptx.drop_front(at + keyword.size()).ltrim();
-    // In PTX, the result is in parentheses before the name.
+    // In PTX, a result parameter is in parentheses before the function's name.
     if (text.starts_with("("))
       text =
           text.drop_until([](char c) { return c == ')'; }).drop_front().ltrim();
@@ -623,7 +626,8 @@ static Error checkExternals(StringRef ptx) {
   return Error::success();
 }
 
-/// The bitcode of the module, to be linked with others into a program.
+/// The module as LLVM bitcode, which can be linked with other kernels into a
+/// program.
 static std::shared_ptr<const std::string>
 getBitcode(const llvm::Module &module) {
   auto bytes = std::make_shared<std::string>();
@@ -632,7 +636,7 @@ getBitcode(const llvm::Module &module) {
   return bytes;
 }
 
-/// Removes functions that only programs use.
+/// Removes functions that only programs of several kernels use.
 static void removeTileFunctions(llvm::Module &module,
                                 ArrayRef<std::string> functions) {
   SmallVector<llvm::Function *> unused;

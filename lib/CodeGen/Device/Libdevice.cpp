@@ -41,7 +41,8 @@ public:
       paths.push_back(path.str().str());
   }
   void addToolkit(StringRef root) { add(root, "nvvm", "libdevice"); }
-  /// Adds the packages of a Python package folder.
+  /// Adds the folders of libdevice in packages of NVIDIA's compiler that are
+  /// installed in a Python package folder.
   void addPackages(StringRef folder) {
     for (const char *package : {"cuda_nvcc", "cu13"})
       add(folder, "nvidia", package, "nvvm", "libdevice");
@@ -53,7 +54,8 @@ public:
 
 static std::vector<std::string> getPlaces() {
   Places places;
-  // TAI_LIBDEVICE names the file: search nowhere else.
+  // If the environment variable TAI_LIBDEVICE names the file, search nowhere
+  // else.
   if (std::optional<std::string> path = sys::Process::GetEnv("TAI_LIBDEVICE"))
     return {*path};
   for (const char *name : {"CUDA_HOME", "CUDA_PATH", "CUDA_ROOT"})

@@ -34,7 +34,8 @@ static llvm::Function *addKernel(llvm::Function &body, size_t number) {
       "tai_overlapped" + Twine(number), module);
   kernel->setCallingConv(llvm::CallingConv::PTX_Kernel);
   builder.SetInsertPoint(llvm::BasicBlock::Create(context, "", kernel));
-  // Inline assembly clobbers memory: loads could move past the intrinsics.
+  // The instructions are emitted as inline assembly that clobbers memory: LLVM
+  // could move loads past its intrinsics for them.
   auto *type = llvm::FunctionType::get(builder.getVoidTy(), false);
   for (StringRef text :
        {"griddepcontrol.launch_dependents;", "griddepcontrol.wait;"})

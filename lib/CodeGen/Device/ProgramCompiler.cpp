@@ -30,9 +30,9 @@ using llvm::Expected;
 
 static constexpr llvm::StringLiteral programName = TAI_PROGRAM_FUNCTION;
 
-/// The maximum number of instructions of a program's kernels, whose code is in
-/// the program twice. ptxas takes 1.4 s for 6,000 instructions, 10 s for
-/// 11,600, 28 s for 24,000, and 88 s for 45,000.
+/// The maximum number of instructions of a program. Longer programs are
+/// refused: ptxas takes 1.4 s for 6,000 instructions, 10 s for 11,600, 28 s for
+/// 24,000, and 88 s for 45,000.
 static constexpr unsigned kMostInstructions = 12000;
 
 static StringRef getRunnerName(int scope) {
@@ -60,8 +60,8 @@ Expected<llvm::Function *> tai::addPart(llvm::Module &module, StringRef bytes,
   body->setName(unique);
   for (llvm::GlobalValue &value : (*part)->global_values())
     if (!value.isDeclaration() && &value != body) {
-      // Parts may specialise library functions differently: rename their
-      // copies.
+      // Each part has its own copies of library functions, possibly specialised
+      // in different ways: rename the copies.
       if (value.hasName())
         value.setName("part" + Twine(number) + "." + value.getName());
       value.setLinkage(llvm::GlobalValue::InternalLinkage);
@@ -94,7 +94,7 @@ static StringRef getBarrierName(int scope) {
   }
 }
 
-/// Calls a part with the parameters in `slots`.
+/// Emits a call of the part `body`, whose parameters are in the memory `slots`.
 static void callPart(llvm::IRBuilder<> &builder, llvm::Function *body,
                      llvm::Value *slots, bool isCuda) {
   // On the emulated device, a part takes the pointer to the slots.
@@ -126,7 +126,7 @@ static void callPart(llvm::IRBuilder<> &builder, llvm::Function *body,
   builder.CreateCall(body, arguments);
 }
 
-/// Makes the function that calls a part by its number.
+/// Adds the function `tai_program_dispatch`, which calls a part by its number.
 static void addDispatch(llvm::Module &module,
                         ArrayRef<runtime::ProgramPart> parts,
                         ArrayRef<llvm::Function *> bodies, bool isCuda) {
@@ -134,8 +134,8 @@ static void addDispatch(llvm::Module &module,
   llvm::IRBuilder<> builder(context);
   auto *type = llvm::FunctionType::get(
       builder.getVoidTy(), {builder.getInt64Ty(), builder.getPtrTy()}, false);
-  // The library calls the function, so it is external until the program is
-  // linked.
+  // The device library calls this function, so it stays external until the
+  // program is linked.
   auto *dispatch = llvm::Function::Create(
       type, llvm::GlobalValue::ExternalLinkage, "tai_program_dispatch", module);
   dispatch->addFnAttr(llvm::Attribute::AlwaysInline);
@@ -158,7 +158,7 @@ static void addDispatch(llvm::Module &module,
 }
 
 namespace {
-/// Makes the kernel of the program.
+/// Builds the kernel that runs a whole program.
 class ProgramBuilder {
 public:
   ProgramBuilder(llvm::Module &module, const runtime::ProgramPlan &plan,
@@ -191,7 +191,8 @@ private:
         name, llvm::FunctionType::get(builder.getVoidTy(), types, false));
   }
 
-  /// The kernel's arguments that precede the words of loops.
+  /// The first arguments of the program's kernel; from FirstWord on, arguments
+  /// are the parameters of loops.
   enum { Table, Stride, Header, FirstWord };
 
   llvm::Module &module;
@@ -200,13 +201,15 @@ private:
   bool isCuda;
   llvm::IRBuilder<> builder;
   llvm::Function *kernel = nullptr;
-  /// Stack memory for the parameters of a part that takes their address.
+  /// Stack memory for the parameters of a part, if the part takes the address
+  /// of its parameters.
   llvm::AllocaInst *room = nullptr;
-  /// The overlay of the block for a chain; on an emulated device, all blocks'
-  /// overlays.
+  /// Memory for the overlays of tile chains: the shared memory of the block; on
+  /// an emulated device, one memory for the overlays of all blocks.
   llvm::Value *overlays = nullptr;
   int64_t overlayBytes = 0;
-  /// In a loop: the number of the iteration, and its row of the loop's list.
+  /// Inside of a loop of the program: the number of the iteration, and the
+  /// address of the row that the loop's list has for the iteration.
   llvm::PHINode *turn = nullptr;
   llvm::Value *listRow = nullptr;
 };
@@ -241,7 +244,8 @@ llvm::Function *ProgramBuilder::build() {
   return kernel;
 }
 
-/// Makes a kernel that runs a function of the device library.
+/// Adds a kernel that does nothing but call the function `name` of the device
+/// library.
 static Expected<llvm::Function *> addLibraryKernel(llvm::Module &module,
                                                    const llvm::Module &library,
                                                    StringRef name,
@@ -293,7 +297,8 @@ makeLibrary(DeviceCompiler &compiler, ArrayRef<runtime::ProgramPart> parts) {
   });
 }
 
-/// Runs rows of the table by a function of the device library.
+/// Emits a call of the device library's function that runs rows of the step
+/// table.
 void ProgramBuilder::addRows(const runtime::ProgramSegment &segment,
                              uint64_t row) {
   llvm::Type *pointer = builder.getPtrTy(), *i64 = builder.getInt64Ty();
@@ -329,7 +334,7 @@ void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
     listRow = builder.CreateGEP(
         i64, kernel->getArg(Table),
         builder.CreateAdd(words, builder.getInt64(segment.listStart)));
-    // Prefetch the next row of the list.
+    // Prefetch the row that the loop's list has for the next iteration.
     constexpr size_t lineWords = 16;
     for (size_t i = 0; isCuda && i < segment.listWidth; i += lineWords)
       prefetch(builder.CreateConstGEP1_64(i64, listRow, segment.listWidth + i));
@@ -358,7 +363,8 @@ void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
 void ProgramBuilder::addGroups(const runtime::ProgramSegment &segment) {
   llvm::LLVMContext &context = module.getContext();
   llvm::Type *i32 = builder.getInt32Ty();
-  // Blocks of a chain may have to wait for each other between loads and stores.
+  // A step that is a tile chain is split in two halves, loads and stores, if
+  // all blocks must have loaded before any block stores.
   enum Half { First, Second, Both };
   SmallVector<SmallVector<std::pair<const runtime::ProgramLoopStep *, Half>>>
       groups(1);
@@ -442,7 +448,7 @@ void ProgramBuilder::makeOverlays() {
   overlays = llvm::ConstantExpr::getAddrSpaceCast(memory, builder.getPtrTy());
 }
 
-/// The overlay of this block.
+/// The address of the current block's overlay.
 llvm::Value *ProgramBuilder::getOverlay() {
   if (isCuda)
     return overlays;
@@ -482,7 +488,8 @@ void ProgramBuilder::addChain(const runtime::ProgramLoopStep &step) {
   for (const runtime::ProgramSlot &slot : step.slots)
     slots.push_back(getParameter(slot));
   TileBuilder tiles(builder, chain, bodies, overlays, plan.threads, isCuda);
-  // The block may still be using the overlay's previous contents.
+  // Wait for all threads of the block: some may still be using what the overlay
+  // held before.
   builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
   tiles.emitLoads(slots);
   llvm::Type *i32 = builder.getInt32Ty(), *pointer = builder.getPtrTy();
@@ -559,7 +566,8 @@ void ProgramBuilder::noteClock(llvm::Value *steps) {
                        {kernel->getArg(Header), steps});
 }
 
-/// Removes functions of one iteration, which have been copied into their users.
+/// Removes functions of single iterations. Tile chains have copied them into
+/// their own functions.
 static void removeTileFunctions(llvm::Module &module) {
   llvm::Function *site = module.getFunction(runtime::tileSiteFunction);
   while (site && !site->use_empty()) {
@@ -617,8 +625,9 @@ mlir::tai::makeProgram(DeviceCompiler &compiler,
     for (llvm::Function &function : module)
       if (&function != kernel)
         dropInvariantLoads(function);
-    // Inline the runner of tables if it has one call; also inline the functions
-    // for barriers and part parameters, whose arguments are then constants.
+    // Inline the device library's function that runs the step table if it is
+    // called once. Also inline the functions for barriers and for part
+    // parameters, whose arguments are then constants.
     if (llvm::Function *runner = module.getFunction(getRunnerName(plan.scope)))
       if (runner->hasOneUse())
         runner->addFnAttr(llvm::Attribute::AlwaysInline);

@@ -25,7 +25,7 @@ using namespace mlir::tai::runtime;
 llvm::Value *mlir::tai::convertSlot(llvm::IRBuilder<> &builder,
                                     llvm::Value *word, llvm::Type *type,
                                     bool isCuda) {
-  // Pointer parameters of kernels point to global memory; say so here as well.
+  // A pointer parameter of a kernel points to global memory: the cast says so.
   if (type->isPointerTy() && isCuda)
     return builder.CreateAddrSpaceCast(
         builder.CreateIntToPtr(word, builder.getPtrTy(/*AddrSpace=*/1)), type);
@@ -86,8 +86,8 @@ TileBuilder::TileBuilder(llvm::IRBuilder<> &builder, const TileChain &chain,
         builder.CreateNSWAdd(builder.CreateNSWMul(along, number(chain.tile[d])),
                              number(chain.lower[d]));
   }
-  // Use one cell for each thread: expressions of its number are then computed
-  // once for the whole chain.
+  // If there is a thread for each cell, expressions of the thread's cell are
+  // computed once for the whole chain.
   if (isCuda && numCells <= int64_t(threads)) {
     llvm::Value *thread = getPlace("tai_dev_thread_id");
     own = getCell(thread);
@@ -120,8 +120,8 @@ TileBuilder::Cell TileBuilder::getCell(llvm::Value *which) {
   return cell;
 }
 
-/// Emits code for the cells of the tile and `halo`. In each call, a given cell
-/// belongs to the same thread.
+/// Emits a loop over the cells of the tile and `halo`, divided among the
+/// block's threads. Every such loop gives a cell to the same thread.
 void TileBuilder::forEachCell(const TileHalo &halo, CellEmitter emit) {
   if (own) {
     llvm::Value *condition = hasOwn;
@@ -152,12 +152,13 @@ void TileBuilder::forEachCell(const TileHalo &halo, CellEmitter emit) {
     emit(cell);
   at->addIncoming(builder.CreateNSWAdd(at, threads), builder.GetInsertBlock());
   llvm::Instruction *back = builder.CreateBr(head);
-  // Most threads visit few cells: unrolling would not pay off.
+  // Do not unroll: most threads visit few cells.
   disableUnrolling(back);
   builder.SetInsertPoint(after);
 }
 
-/// Whether a cell is in the tile or in `halo`; null if all cells are.
+/// Emits a test whether `cell` is in the tile or in `halo`; null if all cells
+/// of the window are.
 llvm::Value *TileBuilder::isWithin(const Cell &cell, const TileHalo &halo) {
   llvm::Value *all = nullptr;
   auto add = [&](llvm::Value *condition) {
@@ -173,7 +174,8 @@ llvm::Value *TileBuilder::isWithin(const Cell &cell, const TileHalo &halo) {
   return all;
 }
 
-/// Whether a cell has an iteration; null if all cells have one.
+/// Emits a test whether there is an iteration of the launches at `cell`; null
+/// if there is one at all cells of the window.
 llvm::Value *TileBuilder::isInBox(const Cell &cell) {
   llvm::Value *all = nullptr;
   for (size_t d = 0; d < rank; ++d) {
@@ -187,8 +189,9 @@ llvm::Value *TileBuilder::isInBox(const Cell &cell) {
   return all;
 }
 
-/// The address in the overlay of the cell that `site` accesses in the iteration
-/// of the cell at `place`; without a site, of that cell itself.
+/// The address, in the overlay of the array `row`, of the cell that `site`
+/// accesses in the iteration at the cell `place`. Without a site, the address
+/// of the cell `place` itself.
 llvm::Value *TileBuilder::getOverlay(llvm::IRBuilder<> &at, const TileRow &row,
                                      llvm::Value *base, llvm::Value *place,
                                      const TileSite *site) {
@@ -205,7 +208,8 @@ llvm::Value *TileBuilder::getOverlay(llvm::IRBuilder<> &at, const TileRow &row,
       static_cast<uint64_t>(row.offset + distance * size));
 }
 
-/// The address of a row's cell with index 0, as an integer.
+/// The address in global memory, as an integer, of the cell with index 0 of the
+/// array `row`.
 llvm::Value *TileBuilder::getOrigin(const TileRow &row,
                                     ArrayRef<llvm::Value *> slots) {
   const DeviceAccess &access = row.site.access;
@@ -277,8 +281,9 @@ void TileBuilder::emitLoads(ArrayRef<llvm::Value *> slots) {
   });
 }
 
-/// Makes the function of an iteration with two more parameters, the place of
-/// the cell and the overlay; sites of rows in it access the overlay.
+/// Copies the function of one iteration of a launch. The copy has two more
+/// parameters, the place of the cell and the overlay, and accesses the overlay
+/// at the sites whose arrays have one.
 llvm::Function *TileBuilder::makeStage(const TileStage &stage) {
   llvm::Function *body = bodies[stage.part - TAI_FIRST_PART];
   SmallVector<llvm::Type *> types(body->getFunctionType()->params());
@@ -311,7 +316,8 @@ llvm::Function *TileBuilder::makeStage(const TileStage &stage) {
       const TileRow &row = chain.rows[static_cast<size_t>(number)];
       llvm::IRBuilder<> at(call);
       pointer = getOverlay(at, row, base, place, &stage.sites[site]);
-      // The alignment of the overlay's pointer is only that of one element.
+      // The pointer into the overlay is aligned to the size of one element
+      // only.
       llvm::Align alignment(static_cast<uint64_t>(row.site.access.size));
       for (llvm::User *user : call->users()) {
         if (auto *load = dyn_cast<llvm::LoadInst>(user))
@@ -327,8 +333,8 @@ llvm::Function *TileBuilder::makeStage(const TileStage &stage) {
 }
 
 void TileBuilder::emitStages(ArrayRef<llvm::Value *> slots) {
-  // Rows that threads have changed, or have read at other cells, since the last
-  // barrier.
+  // Since the last barrier: overlays that threads have changed, and overlays of
+  // which threads have read cells other than their own.
   llvm::SmallDenseSet<int> changed, seen;
   for (const TileStage &stage : chain.stages) {
     bool mustMeet = false;
@@ -388,7 +394,7 @@ void TileBuilder::emitStores(ArrayRef<llvm::Value *> slots) {
   for (const TileRow &row : chain.rows)
     origins.push_back(getOrigin(row, slots));
   forEachCell(none, [&](const Cell &cell) {
-    // The last tile along a dimension may be smaller.
+    // The last tile along a dimension may extend beyond the box.
     llvm::Value *inside = builder.getTrue();
     SmallVector<llvm::Value *> indices;
     for (unsigned d = 0; d < rank; ++d) {

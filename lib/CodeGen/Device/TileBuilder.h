@@ -14,7 +14,7 @@
 
 namespace mlir::tai {
 
-/// Disables unrolling of the loop with this back edge.
+/// Disables unrolling of the loop whose back edge is the branch `back`.
 void disableUnrolling(llvm::Instruction *back);
 
 /// Emits the code of one block for a chain of launches: it computes one tile in
@@ -22,18 +22,19 @@ void disableUnrolling(llvm::Instruction *back);
 /// of the block share the cells of the tile.
 class TileBuilder {
 public:
-  /// `bodies` are the functions of one iteration, by part number. `overlay` is
-  /// the shared memory of the block, which has `threads` threads.
+  /// `chain`: the launches. `bodies`: for each part number, the function that
+  /// runs one iteration. `overlay`: shared memory of the block, which has
+  /// `threads` threads.
   TileBuilder(llvm::IRBuilder<> &builder, const runtime::TileChain &chain,
               ArrayRef<llvm::Function *> bodies, llvm::Value *overlay,
               unsigned threads, bool isCuda);
 
-  /// Loads the rows of the overlay that start with values from memory. A
-  /// barrier must follow. `slots`, here and below, are the parameters of all
-  /// launches.
+  /// Emits loads of the tile and halo from memory to the overlay, for arrays
+  /// whose overlay starts with values from memory. A barrier must follow.
+  /// `slots`, here and below, are the parameters of all launches of the chain.
   void emitLoads(ArrayRef<llvm::Value *> slots);
-  /// Runs all launches in the overlay. Each thread stores only cells that it
-  /// computed itself.
+  /// Emits all launches of the chain, on the overlay. Each thread stores only
+  /// cells that it has computed itself.
   void emitStages(ArrayRef<llvm::Value *> slots);
   /// Stores the tile, without its halo, from the overlay to memory.
   void emitStores(ArrayRef<llvm::Value *> slots);
@@ -74,15 +75,16 @@ private:
   llvm::Value *overlay;
   bool isCuda;
   size_t rank;
-  /// The tile and halo that all overlays cover, and its number of cells.
+  /// The halo of the window (the cells that all overlays cover), and the number
+  /// of cells in the window.
   const runtime::TileHalo &window;
   int64_t numCells = 1;
   SmallVector<int64_t> extents;
-  /// An i1: whether the block has a tile; and the first index of the tile along
-  /// each dimension.
+  /// hasTile: an i1, whether the block has a tile. first: the first index of
+  /// the block's tile along each dimension.
   llvm::Value *hasTile;
   SmallVector<llvm::Value *> first;
-  /// The cell of the thread, if there is a thread for each cell.
+  /// The cell of the current thread, if the block has a thread for each cell.
   std::optional<Cell> own;
   llvm::Value *hasOwn = nullptr;
 };

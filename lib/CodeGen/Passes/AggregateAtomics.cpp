@@ -44,7 +44,8 @@ using namespace llvm;
 using namespace mlir::tai;
 
 static constexpr unsigned warpSize = 32;
-/// The maximum depth of the analysis: addresses are sums of few terms.
+/// The maximum depth to which address computations are analysed: addresses are
+/// sums of few terms.
 static constexpr unsigned maxDepth = 12;
 /// Limits of groups with data-dependent addresses: the number of additions in a
 /// group (the components of a vector), of compared addresses in a group, and of
@@ -52,12 +53,13 @@ static constexpr unsigned maxDepth = 12;
 static constexpr unsigned maxChosen = 4, maxChosenBases = 2,
                           maxChosenGroups = 4;
 
-/// Metadata of additions that no later run combines either: a program contains
-/// the code of many functions.
+/// Name of metadata on additions that were not combined and that later runs of
+/// the pass must not combine either: a program contains the code of many
+/// functions.
 static constexpr char kApartName[] = "tai.apart";
 
 namespace {
-/// Additions that are moved to the last addition of the group.
+/// A group of additions that are all moved to the place of the last of them.
 using Group = SmallVector<AtomicRMWInst *, 8>;
 
 class GroupFinder {
@@ -163,7 +165,7 @@ static bool isThreadNumber(const Value *value, unsigned depth) {
   if (!op || depth == 0)
     return false;
   if (auto *phi = dyn_cast<PHINode>(op))
-    // A loop over iterations advances by the number of all threads.
+    // A loop over iterations advances by the number of all threads of the grid.
     return all_of(phi->incoming_values(), [&](const Value *from) {
       auto *step = dyn_cast<BinaryOperator>(from);
       if (step && step->getOpcode() == Instruction::Add)
@@ -197,14 +199,15 @@ static bool isThreadNumber(const Value *value, unsigned depth) {
   }
 }
 
-/// True if all threads of a warp have the same value.
+/// True if all threads of a warp have the same value for `value`.
 bool GroupFinder::isSameInWarp(const Value *value, unsigned depth) {
   if (uniformity.isUniform(value))
     return true;
   auto *op = dyn_cast<Instruction>(value);
   if (!op || depth == 0 || op->mayReadOrWriteMemory() || isa<PHINode>(op))
     return false;
-  // The quotient of an iteration's number by a multiple of the warp's size.
+  // The quotient of an iteration's number by a multiple of the warp's size is
+  // equal for all threads of a warp.
   bool isDivision = op->getOpcode() == Instruction::UDiv ||
                     op->getOpcode() == Instruction::SDiv;
   bool isShift = op->getOpcode() == Instruction::LShr ||
@@ -253,7 +256,7 @@ bool GroupFinder::isChosen(const Value *value, unsigned depth, bool &isLoaded) {
 }
 
 bool GroupFinder::mayPass(Instruction &instruction, const Group &open) {
-  // Additions to one element may happen in any order.
+  // Atomic additions to one element may be reordered.
   if (isAddition(instruction))
     return true;
   if (!isGuaranteedToTransferExecutionToSuccessor(&instruction))
@@ -325,7 +328,8 @@ void GroupEmitter::emitAdditions(ArrayRef<Value *> values) {
   }
 }
 
-/// True for values that do not change while the function runs.
+/// True for values that do not change while the function runs: constants and
+/// arguments.
 static bool isInvariant(const Value *value, unsigned depth) {
   if (isa<Argument, Constant>(value))
     return true;
@@ -360,7 +364,7 @@ Value *GroupEmitter::emitComparison() {
   return isSame;
 }
 
-/// Emits the case that all threads of the warp are active.
+/// Emits the reduction for the case that all threads of the warp are active.
 void GroupEmitter::emitFull(BasicBlock *tail) {
   // Select base and offset separately: most addresses are one of few bases plus
   // a constant, which needs no register.
@@ -404,7 +408,8 @@ void GroupEmitter::emitFull(BasicBlock *tail) {
     bases = std::move(nextBases);
     offsets = std::move(nextOffsets);
   }
-  // Threads beyond the last sum have a copy of another thread's sum.
+  // Threads whose number exceeds the number of sums hold a copy of another
+  // thread's sum, and do not add it.
   BasicBlock *add = addBlock();
   builder.CreateCondBr(
       builder.CreateICmpULT(number, builder.getInt32(group.size())), add, tail);
@@ -417,12 +422,13 @@ void GroupEmitter::emitFull(BasicBlock *tail) {
   builder.CreateBr(tail);
 }
 
-/// Emits the case that exactly the first threads of the warp are active.
+/// Emits the reduction for the case that exactly the first threads of the warp
+/// are active.
 void GroupEmitter::emitFirstThreads(BasicBlock *tail) {
   SmallVector<Value *> sums;
   for (AtomicRMWInst *op : group)
     sums.push_back(op->getValOperand());
-  // Adding -0 changes no value.
+  // Inactive threads contribute -0, because adding -0 changes no value.
   Value *zero = ConstantFP::getNegativeZero(builder.getFloatTy());
   for (unsigned distance = warpSize / 2; distance > 0; distance /= 2) {
     Value *other = builder.CreateAdd(lane, builder.getInt32(distance));
@@ -504,8 +510,8 @@ mlir::tai::AggregateAtomics::run(Function &function,
     finder.find(block);
   if (!combinesScatters || finder.chosen.size() > maxChosenGroups)
     finder.chosen.clear();
-  // From the last group, so that the part of a block before a split stays
-  // intact.
+  // Handle the groups from the last to the first: splitting a block then leaves
+  // the part before the split intact for the remaining groups.
   for (Group &group : reverse(finder.known))
     GroupEmitter(group).emit();
   for (Group &group : reverse(finder.chosen))

@@ -45,19 +45,22 @@ private:
   BasicBlock &block;
   BatchAAResults aliases;
   const DataLayout &layout;
-  /// The last load of the group; further loads of the group are moved after it.
+  /// The last load of the current group; further loads that join the group are
+  /// moved after it.
   Instruction *last = nullptr;
   unsigned words = 0;
-  /// Instructions after `last` that are not part of the group.
+  /// Instructions after `last` that are not part of the group: `writes` are
+  /// those that write memory, `behind` is the set of all.
   SmallVector<Instruction *> writes;
   SmallPtrSet<Instruction *, 32> behind;
-  /// Whether ptxas expands an instruction after `last` to branches.
+  /// Whether an instruction after `last` is one that ptxas expands to branches.
   bool branches = false;
   bool changed = false;
 };
 } // namespace
 
-/// Whether ptxas expands the instruction to branches.
+/// Whether ptxas expands `instruction` to branches, past which it moves no
+/// loads.
 static bool isSplitting(const Instruction &instruction) {
   switch (instruction.getOpcode()) {
   case Instruction::FDiv:
@@ -97,8 +100,9 @@ void LoadGrouping::startGroup(LoadInst *load) {
   branches = false;
 }
 
-/// Lists the instructions after the group that `value` depends on, in their
-/// order; false if one of these cannot be moved.
+/// Collects in `chain`, in their order, the instructions after the group from
+/// which `value` is computed. False if one of them cannot be moved before the
+/// group's end.
 bool LoadGrouping::collectAddress(Value *value,
                                   SmallVectorImpl<Instruction *> &chain) {
   auto *instruction = dyn_cast<Instruction>(value);
@@ -128,7 +132,7 @@ bool LoadGrouping::join(LoadInst &load) {
   if (!collectAddress(load.getPointerOperand(), chain))
     return false;
   words += more;
-  // With nothing but loads in between, ptxas itself groups them.
+  // If only loads are between the load and the group, ptxas itself groups them.
   if (writes.empty() && !branches) {
     last = &load;
     behind.clear();
@@ -153,7 +157,8 @@ bool LoadGrouping::run() {
         startGroup(load);
       continue;
     }
-    // No load moves past a barrier or an unknown call.
+    // A barrier or a call of an unknown function ends the group, because no
+    // load can move past it.
     auto *call = dyn_cast<CallBase>(&instruction);
     bool isOpaque = isa<FenceInst>(instruction) || instruction.mayThrow() ||
                     (call && instruction.mayReadOrWriteMemory() &&

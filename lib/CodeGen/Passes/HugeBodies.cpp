@@ -41,7 +41,8 @@ constexpr unsigned kLanes = 8;
 constexpr StringLiteral kManyPairs = "tai-many-pairs";
 } // namespace
 
-/// The number of instructions that a call becomes once its loop is vectorised.
+/// The number of instructions that a call of a library function becomes once
+/// the loop around it is vectorised.
 static uint64_t getVectorizedSize(const CallBase &call,
                                   const TargetTransformInfo &target,
                                   const TargetLibraryInfo &library) {
@@ -111,7 +112,7 @@ bool KeepHugeLoopsScalar::canRun(StringRef pass, const Any &ir) {
     return true;
   if (pass == "LoopLoadEliminationPass")
     return !(*function)->hasFnAttribute(kManyPairs);
-  // Consecutive short loops that were unrolled form such a block.
+  // Unrolling consecutive short loops makes such huge blocks.
   return pass != "SLPVectorizerPass" ||
          !hasBlockAbove(**function, HugeBodyLimits().block);
 }
@@ -120,7 +121,8 @@ bool KeepHugeLoopsScalar::canRun(StringRef pass, const Any &ir) {
 // Blocks
 //===----------------------------------------------------------------------===//
 
-/// The approximate number of machine instructions that an instruction becomes.
+/// The approximate number of machine instructions that one IR instruction
+/// becomes.
 static uint64_t getMachineSize(const Instruction &instruction,
                                const TargetTransformInfo &target) {
   const auto *call = dyn_cast<IntrinsicInst>(&instruction);
@@ -164,7 +166,7 @@ static bool mustStay(const Instruction &instruction) {
 namespace {
 using Part = SmallVector<Instruction *, 0>;
 
-/// Divides a block into outlined parts.
+/// Divides one huge block into parts that are outlined into functions.
 class BlockDivider {
 public:
   BlockDivider(BasicBlock &block, ArrayRef<Part> parts)
@@ -174,7 +176,8 @@ public:
   void divide();
 
 private:
-  /// The offset in `memory` of a value that other parts may use.
+  /// The offset, in the memory shared by the parts, of a value that other parts
+  /// may use.
   uint64_t getPlace(Value *value);
   Value *getAddress(IRBuilder<> &builder, Value *memory, Value *value);
   void storeTo(IRBuilder<> &builder, Value *memory, Value *value);
@@ -185,7 +188,8 @@ private:
   Function &function;
   ArrayRef<Part> parts;
   const DataLayout &layout;
-  /// The number of the part that contains an instruction.
+  /// For each instruction of the block, the number of the part that contains
+  /// it.
   DenseMap<const Instruction *, unsigned> partOf;
   DenseMap<const Value *, uint64_t> places;
   uint64_t size = 0;
@@ -220,7 +224,8 @@ Value *BlockDivider::loadFrom(IRBuilder<> &builder, Value *memory,
                                    layout.getABITypeAlign(value->getType()));
 }
 
-/// Moves the instructions of a part to a new function, and calls it.
+/// Moves the instructions of a part to a new function, and inserts a call of
+/// this function in their place.
 void BlockDivider::outline(const Part &part, unsigned number) {
   LLVMContext &context = function.getContext();
   auto *type = FunctionType::get(Type::getVoidTy(context),
@@ -294,8 +299,8 @@ void BlockDivider::divide() {
                               "shared");
   memory->setAlignment(Align(64));
 
-  // Find the values from outside the parts, and values of a part used outside
-  // it.
+  // Find values that the parts use and that are defined outside of all parts,
+  // and uses of a part's values outside of the part.
   SetVector<Value *> given;
   SmallVector<std::pair<Use *, Instruction *>> taken;
   for (auto [number, part] : enumerate(parts)) {
@@ -316,8 +321,8 @@ void BlockDivider::divide() {
       }
     }
   }
-  // Store a value from outside after its definition in this block, or else
-  // before the first part.
+  // A value from outside of the parts is stored to the shared memory after its
+  // definition if it is defined in this block, or else before the first part.
   for (Value *value : given) {
     auto *from = dyn_cast<Instruction>(value);
     bool isHere = from && from->getParent() == &block && !isa<PHINode>(from);
@@ -327,8 +332,8 @@ void BlockDivider::divide() {
   }
   for (auto [number, part] : enumerate(parts))
     outline(part, number);
-  // Other uses in this block load the value at the use, uses in other blocks at
-  // the end of this block.
+  // A use outside of the parts loads the value from the shared memory: in this
+  // block, right before the use; in other blocks, at the end of this block.
   DenseMap<Value *, Value *> atEnd;
   for (auto [use, user] : taken) {
     Value *value = use->get();
@@ -351,7 +356,8 @@ void BlockDivider::divide() {
 }
 
 namespace {
-/// Estimates the sizes of instructions of one function.
+/// Estimates how many machine instructions the instructions of one function
+/// become.
 class Sizes {
 public:
   Sizes(const Function &function, const TargetMachine *machine)
@@ -407,8 +413,9 @@ SmallVector<Part, 0> Sizes::getParts(BasicBlock &block, unsigned limit) const {
 
 void mlir::tai::divideHugeBlocks(Module &module, const TargetMachine *machine,
                                  HugeBodyLimits limits) {
-  // The maximum number of machine instructions that one instruction becomes,
-  // including calls in vectorised loops.
+  // An upper bound of the machine instructions that one IR instruction becomes,
+  // including library calls in vectorised loops: blocks with few IR
+  // instructions need no estimate.
   constexpr unsigned most = 64;
   SmallVector<BasicBlock *> huge;
   for (Function &function : module) {
@@ -438,7 +445,8 @@ void mlir::tai::divideHugeBlocks(Module &module, const TargetMachine *machine,
 
 void mlir::tai::keepCallsInHugeFunctions(Module &module, StringRef prefix,
                                          HugeBodyLimits limits) {
-  // A function this short is no longer than its call.
+  // A function with fewer instructions than this is no longer than a call of
+  // it.
   constexpr unsigned shortest = 10;
   for (Function &function : module) {
     if (function.getName().starts_with(prefix))

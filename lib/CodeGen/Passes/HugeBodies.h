@@ -22,31 +22,33 @@ namespace mlir::tai {
 /// Thresholds above which passes of more than linear time are avoided: several
 /// times the sizes of the largest kernels of the scenes.
 struct HugeBodyLimits {
-  /// Instructions of a loop after vectorisation: larger loops are not
-  /// vectorised.
+  /// Limit of the instructions of a loop after vectorisation: larger loops are
+  /// not vectorised.
   unsigned vectorized = 5000;
   /// Writes of a loop times its accesses, which is the number of pairs that the
   /// vectoriser compares: loops with more pairs are not vectorised.
   uint64_t loopPairs = 200000;
-  /// Loops of a function: if there are more, they are not unrolled.
+  /// Limit of the loops of a function: if there are more, loops are not
+  /// unrolled.
   unsigned loops = 200;
-  /// Instructions of a basic block before code generation: longer blocks are
-  /// divided, and not SLP-vectorised.
+  /// Limit of the instructions of a basic block before code generation: longer
+  /// blocks are divided, and not SLP-vectorised.
   unsigned block = 8000;
   /// Writes of a block times its accesses, which is the number of pairs that
   /// the scheduler compares: blocks with more pairs are divided.
   uint64_t pairs = 1500000;
-  /// Instructions inlined into a function from a library: above this number,
-  /// the library functions are called instead.
+  /// Limit of the instructions that are inlined into a function from a library:
+  /// above it, the library functions are called instead.
   uint64_t inlined = 30000;
-  /// Instructions of each part of a divided block.
+  /// Number of instructions in each part of a divided block.
   unsigned part = 1000;
-  /// Like `block`, for functions in which calls of library functions were kept.
+  /// Limit of the instructions of a basic block in functions that call library
+  /// functions because `inlined` was exceeded: longer blocks are divided.
   unsigned blockOfCalls = 8000;
 
-  /// Limits for a GPU: ptxas takes more than quadratic time for the calls in a
-  /// block, 114 s for 800 and 1200 calls of f64 functions, and 9 s with blocks
-  /// divided into parts of this size.
+  /// The limits for a GPU. ptxas takes more than quadratic time for the calls
+  /// in a block: 114 s for 800 and 1200 calls of f64 functions, and 9 s with
+  /// blocks divided into parts of this size.
   static HugeBodyLimits ofDevice() {
     HugeBodyLimits limits;
     limits.block = ~0u;
@@ -65,7 +67,8 @@ struct KeepHugeLoopsScalar : llvm::PassInfoMixin<KeepHugeLoopsScalar> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);
 
-  /// Whether a pass of LLVM takes acceptable time on `ir`.
+  /// Whether the LLVM pass with the name `pass` takes acceptable time on the
+  /// function or loop `ir`.
   static bool canRun(llvm::StringRef pass, const llvm::Any &ir);
 
 private:

@@ -28,7 +28,8 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-/// Decides by the type of the function, which no optimisation level changes.
+/// Whether a function may return early follows from its type, which no
+/// optimisation level changes.
 bool mlir::tai::mayReturnEarly(const Function &function) {
   llvm::FunctionType *type = function.getFunctionType();
   if (type->isVarArg())
@@ -52,8 +53,8 @@ namespace {
 /// Loops that take fewer instructions than this end within a millisecond.
 constexpr uint64_t kShortLoop = 200000;
 
-/// An upper bound of the iterations of the parallel loop whose body the
-/// function is, or 0.
+/// If the function is the body of a parallel loop: an upper bound of the loop's
+/// iterations. Otherwise, or if unknown, 0.
 uint64_t getIterations(const Function &function) {
   uint64_t most = 0;
   for (const Use &use : function.uses()) {
@@ -70,9 +71,10 @@ uint64_t getIterations(const Function &function) {
   return most;
 }
 
-/// Whether the loop runs up to the end of the function's range of the parallel
-/// loop. Other loops of the body, such as a loop from which an iteration was
-/// peeled off, do not depend on this end.
+/// Whether `loop` runs up to the end of the range of iterations that the
+/// function (the body of a parallel loop) gets. Other loops of the function,
+/// such as a loop from which an iteration was peeled off, do not depend on this
+/// end.
 bool goesOverPart(const Loop &loop, ScalarEvolution &evolution) {
   const Function &function = *loop.getHeader()->getParent();
   if (function.arg_size() != 5)
@@ -85,8 +87,9 @@ bool goesOverPart(const Loop &loop, ScalarEvolution &evolution) {
          });
 }
 
-/// An upper bound of the instructions that all iterations of a loop execute, or
-/// UINT64_MAX. `iterations` is the count of the parallel loop, 0 if unknown.
+/// An upper bound of the instructions that all iterations of `loop` execute;
+/// UINT64_MAX if there is none. `iterations` is the number of iterations of the
+/// parallel loop, 0 if unknown.
 uint64_t countInstructions(const Loop &loop, ScalarEvolution &evolution,
                            uint64_t iterations) {
   uint64_t perRound = 0;
@@ -181,7 +184,8 @@ PreservedAnalyses InsertSafepoints::run(Function &function,
   PollInserter inserter(function);
   for (Instruction *branch : backEdges)
     inserter.insertBefore(branch);
-  // The memory effects of the part were inferred without the polls.
+  // Remove the memory attribute of an outlined part: it was inferred before the
+  // part had polls, which access memory.
   if (function.hasFnAttribute(kLoopPart))
     function.removeFnAttr(llvm::Attribute::Memory);
   return PreservedAnalyses::none();

@@ -48,8 +48,9 @@ static bool isValid(Function &function) {
 }
 
 namespace {
-/// The memory that a function itself allocates and frees. A variable for each
-/// allocation holds its address, or null while there is none.
+/// The memory that one device function allocates and frees. For each
+/// allocation, a local variable holds the address, or null while nothing is
+/// allocated.
 class OwnMemory {
 public:
   explicit OwnMemory(Function &function);
@@ -100,7 +101,8 @@ void OwnMemory::freeAll(IRBuilder<> &builder) const {
                        builder.CreateLoad(builder.getPtrTy(), variable));
 }
 
-/// Makes the thread continue after the call only if `address` is not null.
+/// Ends the thread after `call` if `address` is null, because the allocation
+/// has failed or the thread is asked to stop; else the thread continues.
 static void endWhereNull(CallInst &call, Value &address,
                          const OwnMemory &memory) {
   Function &function = *call.getFunction();
@@ -125,8 +127,8 @@ static void endWhereNull(CallInst &call, Value &address,
     phi.addIncoming(Constant::getNullValue(phi.getType()), lacking);
   if (isValid(function))
     return;
-  // The reductions need values that this thread has not computed: return
-  // instead.
+  // The thread cannot take part in the reductions, which need values that it
+  // has not computed: it returns instead.
   meeting->removePredecessor(lacking, /*KeepOneInputPHIs=*/true);
   leave->eraseFromParent();
   builder.SetInsertPoint(lacking);

@@ -32,7 +32,8 @@ bool mlir::tai::looksThroughCalls(StringRef pass) {
 }
 
 namespace {
-/// The blocks of a part, the entry block first.
+/// A group of consecutive loops that becomes a function: its blocks, with the
+/// entry block first.
 using Part = SmallSetVector<BasicBlock *, 32>;
 
 class LoopDivider {
@@ -40,7 +41,8 @@ public:
   LoopDivider(Function &function, ManyLoopsLimits limits)
       : function(function), limits(limits), mayEnd(mayReturnEarly(function)) {}
 
-  /// Divides the loops of one chain; false if no chain is long enough.
+  /// Divides one chain of consecutive loops into parts. False if the function
+  /// has no chain that is long enough.
   bool divide();
   ArrayRef<Function *> getMade() const { return made; }
 
@@ -54,7 +56,8 @@ private:
   void storeShared(Value *value);
   Value *getAddress(IRBuilder<> &builder, Value *memory, Value *value);
   Value *load(IRBuilder<> &builder, Value *memory, Value *value);
-  /// The number of the part that contains an instruction, or -1.
+  /// The number of the part that contains the instruction `value`; -1 if none
+  /// does, or if `value` is no instruction.
   int getPart(const Value *value) const;
   Value *getMemory(int part) const;
   bool isHandedOver(const Value *value) const {
@@ -63,12 +66,13 @@ private:
 
   Function &function;
   ManyLoopsLimits limits;
-  /// Whether the function, and so its parts, may return at any safepoint.
+  /// Whether the function, and so each part of it, may return early at a
+  /// safepoint.
   bool mayEnd;
   DominatorTree tree;
   LoopInfo loops;
   SmallVector<Part, 0> parts;
-  /// The block that follows each part.
+  /// For each part, the block that is executed after it.
   SmallVector<BasicBlock *> behind;
   DenseMap<const BasicBlock *, int> partOf;
   SmallVector<Function *> made;
@@ -93,8 +97,8 @@ static bool mustStay(const Instruction &instruction) {
                   call->hasFnAttr(llvm::Attribute::ReturnsTwice));
 }
 
-/// Adds the blocks from `first` up to `next` as a part, if they have one entry
-/// and one exit.
+/// Makes a part of the blocks from `first` up to `next`, unless they have
+/// several entries or exits.
 void LoopDivider::addPart(BasicBlock *first, BasicBlock *next) {
   Part part;
   SmallVector<BasicBlock *> pending = {first};
@@ -117,10 +121,11 @@ void LoopDivider::addPart(BasicBlock *first, BasicBlock *next) {
   behind.push_back(next);
 }
 
-/// Finds the parts of loops that have the same parent loop.
+/// Divides the loops `siblings`, which have the same parent loop, into parts.
+/// False if no part was found.
 bool LoopDivider::findPartsOf(ArrayRef<Loop *> siblings) {
-  // Consider the chain of siblings that dominate the innermost one in the
-  // dominator tree.
+  // Take the chain of loops that dominate the last loop, which is the deepest
+  // in the dominator tree.
   auto level = [&](const Loop *loop) {
     return tree.getNode(loop->getHeader())->getLevel();
   };
@@ -132,8 +137,9 @@ bool LoopDivider::findPartsOf(ArrayRef<Loop *> siblings) {
   SmallPtrSet<BasicBlock *, 32> headers;
   for (Loop *loop : siblings)
     headers.insert(loop->getHeader());
-  // Walking up from the last sibling, collect blocks where the chain can be
-  // cut, `limits.part` loops apart.
+  // Walk up the dominator tree from the last loop of the chain, and collect
+  // blocks at which the chain can be cut, with `limits.part` loops between
+  // them.
   SmallVector<BasicBlock *> cuts;
   unsigned count = limits.part;
   for (auto *node = tree.getNode(last->getHeader()); node;
@@ -218,7 +224,7 @@ Value *LoopDivider::load(IRBuilder<> &builder, Value *memory, Value *value) {
       function.getDataLayout().getABITypeAlign(value->getType()));
 }
 
-/// Stores a value right after its definition.
+/// Stores a value to the memory that parts share, right after its definition.
 void LoopDivider::storeShared(Value *value) {
   auto *from = dyn_cast<Instruction>(value);
   IRBuilder<> builder(function.getContext());
@@ -270,7 +276,8 @@ Function *LoopDivider::createPart(unsigned number) {
   return part;
 }
 
-/// Moves the blocks of a part to `part`, and calls it in their place.
+/// Moves the blocks of part number `number` to the function `part`, and calls
+/// it in their place.
 void LoopDivider::callPart(unsigned number, Function *part) {
   LLVMContext &context = function.getContext();
   BasicBlock *first = parts[number].front(), *next = behind[number];
@@ -323,7 +330,8 @@ bool LoopDivider::divide() {
   findParts();
   if (parts.empty())
     return false;
-  // Drop lifetime markers of the function's memory, which parts would contain.
+  // Remove lifetime markers of stack memory: parts would contain them, but
+  // lifetime markers must refer to memory of their own function.
   for (BasicBlock &block : function)
     for (Instruction &instruction : make_early_inc_range(block))
       if (isa<LifetimeIntrinsic>(instruction))
@@ -337,7 +345,8 @@ bool LoopDivider::divide() {
   for (unsigned number = 0; number != parts.size(); ++number)
     made.push_back(createPart(number));
 
-  // Replace uses by loads first, before the stores become uses as well.
+  // Replace uses of shared values by loads before any value is stored, because
+  // a store is a use as well.
   DenseMap<std::pair<Value *, int>, Value *> loaded;
   for (auto &[value, place] : places)
     for (Use &use : make_early_inc_range(value->uses())) {
@@ -385,8 +394,8 @@ bool mlir::tai::divideManyLoops(Module &module, ManyLoopsLimits limits) {
     if (!divider.divide())
       continue;
     changed = true;
-    // The rest of the function, and the new functions, may have more loops to
-    // divide.
+    // What remains of the function, and the new functions, possibly have chains
+    // of loops that are still too long.
     all.push_back(function);
     append_range(all, divider.getMade());
   }

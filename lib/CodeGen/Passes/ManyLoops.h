@@ -22,7 +22,7 @@ namespace mlir::tai {
 constexpr llvm::StringLiteral kLoopPart = "tai-loop-part";
 
 struct ManyLoopsLimits {
-  /// Loops of a function: functions with more loops are divided.
+  /// Limit of the loops of a function: functions with more loops are divided.
   unsigned loops = 200;
   /// Loops of a part.
   unsigned part = 16;
@@ -35,8 +35,8 @@ struct ManyLoopsLimits {
 /// early.
 bool divideManyLoops(llvm::Module &module, ManyLoopsLimits limits = {});
 
-/// Whether a pass of LLVM is interprocedural: it may change the arguments or
-/// the result of a part.
+/// Whether the LLVM pass with the name `pass` is interprocedural. Such a pass
+/// may change the arguments or the result of an outlined part.
 bool looksThroughCalls(llvm::StringRef pass);
 
 } // namespace mlir::tai

@@ -25,8 +25,8 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-/// The difference between consecutive lanes of a vector of integers or
-/// pointers, if it is the same for all.
+/// For a vector of integers or pointers: the difference between consecutive
+/// lanes, if it is the same for all lanes.
 static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
                                        unsigned depth = 0) {
   using namespace PatternMatch;
@@ -58,8 +58,8 @@ static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
   Value *a = nullptr, *b = nullptr;
   const APInt *factor = nullptr;
   if (auto *phi = dyn_cast<PHINode>(value)) {
-    // A phi has the step of its start value if the loop adds the same number to
-    // all lanes.
+    // The lanes of a phi differ by as much as those of its start value, if the
+    // loop adds the same number to all lanes.
     if (phi->getNumIncomingValues() != 2)
       return std::nullopt;
     for (unsigned i : {0u, 1u})
@@ -97,9 +97,9 @@ static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
 }
 
 namespace {
-/// The start of each row: the lanes of a vector of pointers; or one pointer
-/// plus `scale` times the lanes of a vector of indices; or the lanes of a
-/// vector of pointers plus `scale` times one index.
+/// The addresses at which the rows of a matrix start: the lanes of a vector of
+/// pointers; or one pointer plus `scale` times the lanes of a vector of
+/// indices; or the lanes of a vector of pointers plus `scale` times one index.
 struct Rows {
   Value *pointer = nullptr;
   Value *index = nullptr;
@@ -108,8 +108,8 @@ struct Rows {
   Value *getLanes() const {
     return pointer->getType()->isVectorTy() ? pointer : index;
   }
-  /// The distance in bytes from a row to the next, if it is the same for all
-  /// rows.
+  /// The distance in bytes between the starts of consecutive rows, if it is the
+  /// same for all rows.
   std::optional<int64_t> findStep(const DataLayout &layout) const {
     Value *lanes = getLanes();
     std::optional<int64_t> step = ::findStep(lanes, layout);
@@ -128,8 +128,8 @@ struct Rows {
   }
 };
 
-/// The bytes that an access touches in each row: `bytes` bytes from `offset`
-/// on.
+/// The bytes that an access touches in each row of a matrix: `bytes` bytes,
+/// starting `offset` bytes after the start of the row.
 struct Columns {
   Rows rows;
   int64_t offset, bytes;
@@ -153,7 +153,7 @@ public:
   }
 
 private:
-  /// Identifies a matrix: its rows, and the type of a column vector.
+  /// What identifies a matrix: its rows, and the vector type of a column.
   using Matrix = std::pair<Rows, FixedVectorType *>;
 
   bool replaceAll(Intrinsic::ID id);
@@ -173,15 +173,17 @@ private:
   BasicBlock &block;
   AAResults &aliases;
   const DataLayout &layout;
-  /// The instructions of the block that access memory, and the index of each.
+  /// All instructions of the block that access memory, in order; and for each,
+  /// its position in this list.
   SmallVector<Instruction *> memory;
   DenseMap<Instruction *, size_t> places;
-  /// The columns that gathers, scatters, and the row accesses that replaced
-  /// them access.
+  /// For each gather or scatter, and for each row access that has replaced some
+  /// of them: the columns that it accesses.
   DenseMap<Instruction *, Columns> known;
-  /// The distance in bytes from a row to the next, where it is constant.
+  /// For each matrix: the distance in bytes between the starts of consecutive
+  /// rows, if it is constant.
   std::map<Rows, std::optional<int64_t>> steps;
-  /// The address of the first row.
+  /// For each matrix, the value that is the address of its first row.
   std::map<Rows, Value *> firstRows;
 };
 } // namespace
@@ -206,7 +208,7 @@ std::optional<Transposer::Matrix> Transposer::findColumn(CallBase &call,
   auto *mask = dyn_cast<Constant>(call.getArgOperand(stores ? 2 : 1));
   if (!type || !mask || !mask->isAllOnesValue() || !getChunk(type))
     return std::nullopt;
-  // Terms of the address that are equal in all lanes are part of the offset.
+  // Add terms of the address that are equal in all lanes to the offset.
   auto sizeOf = [&](GetElementPtrInst *address) {
     return static_cast<int64_t>(
         layout.getTypeAllocSize(address->getSourceElementType()));
@@ -255,15 +257,16 @@ void Transposer::number() {
     }
 }
 
-/// Whether two accesses, the first of which is to `columns`, may conflict: they
-/// touch the same memory, and at least one is a write.
+/// Whether two memory accesses possibly conflict, that is, touch the same
+/// memory while one of them writes. The first accesses `columns`.
 bool Transposer::mayAlias(const Columns &columns, Instruction *first,
                           Instruction *second) const {
   if (!first->mayWriteToMemory() && !second->mayWriteToMemory())
     return false;
   auto other = known.find(second);
   if (other != known.end() && other->second.rows == columns.rows) {
-    // Disjoint in every row, and no row overlaps the next.
+    // The accesses do not conflict if their bytes are disjoint in every row,
+    // and no row overlaps the next row.
     const Columns &there = other->second;
     std::optional<int64_t> step = steps.find(columns.rows)->second;
     int64_t begin = std::min(columns.offset, there.offset);
@@ -278,7 +281,8 @@ bool Transposer::mayAlias(const Columns &columns, Instruction *first,
   return !call || isModOrRefSet(aliases.getModRefInfo(second, call));
 }
 
-/// Whether all accesses of a run can be moved to the place `to` of one of them.
+/// Whether the accesses of a run of neighbouring columns can all be moved to
+/// the place of one of them, `to`.
 bool Transposer::canMove(ArrayRef<Column> run, Instruction *to) const {
   for (const Column &column : run) {
     size_t from = places.lookup(column.call), end = places.lookup(to);
@@ -296,7 +300,7 @@ Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
   auto emitLane = [&](Value *value, unsigned lane) -> Value * {
     if (!value->getType()->isVectorTy())
       return value;
-    // The element that the vector was built from is available as a scalar.
+    // If the vector was built from scalars, use the scalar itself.
     Value *scalar = findScalarElement(value, lane);
     return scalar ? scalar
                   : builder.CreateExtractElement(value, uint64_t(lane));
@@ -321,8 +325,8 @@ Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
         if (auto *made = dyn_cast_or_null<Instruction>(value);
             made && made->getParent() == &block)
           here.push_back(made);
-      // Compute the address as early as possible: other runs of the matrix use
-      // it too.
+      // Compute the address of the first row as early as possible, because
+      // accesses to other columns of the matrix use it too.
       if (here.size() > 1)
         return builder.CreatePtrAdd(emitStart(lane),
                                     builder.getInt64(offset - *step * lane));
@@ -372,7 +376,8 @@ void Transposer::emitLoads(const Matrix &matrix, ArrayRef<Column> run,
   unsigned chunk = getChunk(type), lanes = type->getNumElements();
   auto *rowType = FixedVectorType::get(type->getElementType(), chunk);
   Align alignment = run.front().call->getParamAlign(0).valueOrOne();
-  // Vector k holds a piece of the rows k, k + chunk, ..., each in 16 bytes.
+  // Vector number k holds pieces of the rows k, k + chunk, ...; each piece has
+  // 16 bytes.
   SmallVector<Value *> vectors;
   for (unsigned k = 0; k < chunk; ++k) {
     SmallVector<Value *> rows;
@@ -416,8 +421,8 @@ void Transposer::emitStores(const Matrix &matrix, ArrayRef<Column> run,
 
 bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
                          bool stores) {
-  // Load at the first gather, where all addresses are available, and store at
-  // the last scatter, where all values are.
+  // Emit loads at the first gather, where all addresses are available, and
+  // stores at the last scatter, where all stored values are.
   auto isBefore = [&](const Column &a, const Column &b) {
     return places.lookup(a.call) < places.lookup(b.call);
   };
@@ -443,8 +448,8 @@ bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
 
 bool Transposer::replaceAll(Intrinsic::ID id) {
   bool stores = id == Intrinsic::masked_scatter;
-  // Keep the order of the block, so that the code does not depend on pointer
-  // values.
+  // Order the matrices by their first access in the block, so that the
+  // generated code does not depend on the values of pointers.
   SmallVector<std::pair<Matrix, SmallVector<Column>>> matrices;
   auto find = [&](const Matrix &matrix) -> SmallVector<Column> & {
     for (auto &[known, columns] : matrices)
@@ -471,7 +476,8 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
   if (matrices.empty())
     return false;
   number();
-  // The time of the steps below grows with the square of this number.
+  // Give up on blocks with very many memory accesses: the time of the steps
+  // below grows with the square of their number.
   constexpr size_t most = 8000;
   if (memory.size() > most)
     return false;
@@ -479,7 +485,8 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
   for (auto &[matrix, columns] : matrices) {
     unsigned chunk = getChunk(matrix.second);
     int64_t bytes = getElementBytes(matrix.second);
-    // Scatters to overlapping rows must keep the order of the lanes.
+    // If rows overlap, scatters must store their lanes in order, and are left
+    // alone.
     std::optional<int64_t> step = steps.find(matrix.first)->second;
     if (stores && (!step || std::abs(*step) < 16))
       continue;

@@ -40,7 +40,8 @@ using namespace llvm;
 using namespace mlir::tai;
 
 namespace {
-/// A loop of one block that ends in `br (next < n), block, exit`.
+/// A grid-stride loop that consists of one block and ends in `br (next < n),
+/// block, exit`.
 struct GridLoop {
   BasicBlock *preheader, *block, *exit;
   PHINode *index;
@@ -93,7 +94,8 @@ static unsigned chooseFactor(const BasicBlock &block) {
   return size <= large && loads <= 16 ? 2 : 1;
 }
 
-/// Whether values used after the loop go through phis at its exit.
+/// Whether all values of the loop that are used after it go through phis of the
+/// exit block (LCSSA form).
 static bool isClosed(const BasicBlock &block, const BasicBlock &exit) {
   return all_of(block, [&](const Instruction &instruction) {
     return all_of(instruction.users(), [&](const User *user) {
@@ -157,7 +159,8 @@ static SmallPtrSet<const Instruction *, 16> findLate(const BasicBlock &block) {
       late.insert(&instruction);
     written |= instruction.mayWriteToMemory();
   }
-  // A value that the next iteration starts from must be available early.
+  // A value that the next iteration starts from must not be one of the late
+  // instructions.
   for (const PHINode &phi : block.phis())
     if (auto *carried =
             dyn_cast<Instruction>(phi.getIncomingValueForBlock(&block)))
@@ -210,7 +213,8 @@ static void unroll(const GridLoop &loop) {
   auto *many = BasicBlock::Create(context, "many", function, loop.block);
   auto *rest = BasicBlock::Create(context, "rest", function, loop.block);
 
-  // Whether the last iteration of a group of `factor` iterations exists.
+  // Emits the test whether the last iteration of a group of `factor` iterations
+  // is still within the loop's bound.
   IRBuilder<> builder(loop.preheader->getTerminator());
   Value *reach = builder.CreateMul(
       loop.stride, ConstantInt::get(loop.stride->getType(), loop.factor - 1));
@@ -251,7 +255,8 @@ static void unroll(const GridLoop &loop) {
   for (PHINode &phi : loop.exit->phis())
     phi.addIncoming(lastValue(phi.getIncomingValueForBlock(loop.block)), rest);
 
-  // LLVM must not unroll these loops further.
+  // Mark the unrolled loop and the loop of the remaining iterations, so that
+  // LLVM does not unroll them further.
   MDNode *disable =
       MDNode::get(context, MDString::get(context, "llvm.loop.unroll.disable"));
   for (BasicBlock *block : {many, loop.block}) {

@@ -38,7 +38,8 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
     forms[(name + "f").str()] = ofF32;
   };
   auto addSleef = [&](StringRef name, StringRef type, unsigned least) {
-    // These functions of SLEEF yield the same bits for any number of lanes.
+    // The chosen forms of SLEEF's functions give the same bits for any number
+    // of lanes.
     Forms sleef;
     bool isDouble = type == "f64";
     std::string stem = ("Sleef_finz_" + name + (isDouble ? "d" : "f")).str();
@@ -72,7 +73,7 @@ const VectorMath::Forms *VectorMath::find(const CallInst &call) const {
   return found == forms.end() ? nullptr : &found->second;
 }
 
-/// Declares the function, which accesses no memory.
+/// Declares an external math function that accesses no memory.
 static Function *declare(Module &module, StringRef name,
                          llvm::FunctionType *type) {
   auto *function = cast<Function>(

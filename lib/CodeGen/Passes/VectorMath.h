@@ -29,28 +29,30 @@ class TargetMachine;
 
 namespace mlir::tai {
 
-/// The names under which the libraries are loaded.
+/// The file names under which the libraries of vector functions are loaded.
 inline constexpr llvm::StringLiteral kGlibcVectors = "libmvec.so.1";
 inline constexpr llvm::StringLiteral kSleef = "libsleef.so.3";
 
-/// The vector functions that code for one processor may call.
+/// A table of the vector math functions that code for one processor may call.
 class VectorMath {
 public:
-  /// The names of one function's forms; an empty name means that there is no
-  /// such form.
+  /// The scalar and vector forms of one function, by their symbol names; an
+  /// empty name means that there is no such form.
   struct Forms {
     std::string scalar;
-    /// The vector forms, each with its number of lanes.
+    /// The vector forms: pairs of the number of lanes and the symbol name.
     llvm::SmallVector<std::pair<unsigned, std::string>, 3> vectors;
   };
 
   VectorMath(const llvm::TargetMachine &machine, bool hasSleef);
 
-  /// The forms of the called function; null if the call must stay as it is.
+  /// The forms of the function that `call` calls; null if the call must stay as
+  /// it is.
   const Forms *find(const llvm::CallInst &call) const;
 
 private:
-  /// The forms by the names of LLVM's intrinsic and of libm's function.
+  /// Forms of functions, by the name of LLVM's intrinsic and by the name of
+  /// libm's function.
   llvm::StringMap<Forms> forms;
 };
 

@@ -30,10 +30,10 @@
 using namespace llvm;
 
 namespace {
-/// An addition whose result is unused.
+/// An atomic addition whose result is unused.
 struct Addition {
   AtomicRMWInst *op;
-  /// The distance in bytes from the base address.
+  /// Distance in bytes of the addition's address from its base address.
   int64_t offset;
 };
 
@@ -68,7 +68,7 @@ private:
   void combine();
   void combineAt(MutableArrayRef<Addition> additions);
   void emit(ArrayRef<Addition> additions);
-  /// Whether the waiting additions may be moved past this instruction.
+  /// Whether the additions in `waiting` may be moved past `instruction`.
   bool mayPass(Instruction &instruction);
 
   AAResults *aliases = nullptr;
@@ -76,8 +76,9 @@ private:
   DominatorTree *dominators = nullptr;
   const DataLayout *layout = nullptr;
   bool changed = false;
-  /// Additions that may be combined, by base address. Combined additions move
-  /// to the last of them.
+  /// Additions seen so far that can still be combined, by the base of their
+  /// address. Additions that are combined move to the place of the last of
+  /// them.
   MapVector<Value *, SmallVector<Addition>> waiting;
   SmallVector<AtomicRMWInst *> order;
 };
@@ -143,11 +144,13 @@ static bool isCandidate(const AtomicRMWInst &op) {
 bool VectorizeAtomics::mayPass(Instruction &instruction) {
   if (!instruction.mayReadOrWriteMemory())
     return !instruction.mayThrow();
-  // Additions to one element may happen in any order.
+  // Other atomic additions can be passed, even if they are to the same element:
+  // additions may be reordered.
   if (auto *atomic = dyn_cast<AtomicRMWInst>(&instruction))
     if (isCandidate(*atomic))
       return true;
-  // This memory is never written while the kernel runs.
+  // A load with this metadata reads memory that is never written while the
+  // kernel runs.
   if (isa<LoadInst>(instruction) &&
       instruction.hasMetadata(LLVMContext::MD_invariant_load))
     return true;
@@ -165,7 +168,8 @@ bool VectorizeAtomics::mayPass(Instruction &instruction) {
 
 void VectorizeAtomics::runOnBlock(BasicBlock &block) {
   for (Instruction &instruction : make_early_inc_range(block)) {
-    // Limits the comparisons of each waiting addition with each later access.
+    // Each waiting addition is compared with each later access, so their number
+    // is limited.
     constexpr size_t most = 64;
     if (order.size() == most || (!order.empty() && !mayPass(instruction)))
       combine();
@@ -188,7 +192,8 @@ void VectorizeAtomics::combine() {
   order.clear();
 }
 
-/// Finds runs of adjacent elements where the alignment allows a vector.
+/// Finds, in `additions` to one base address, runs of adjacent elements that
+/// can be combined, where the alignment allows a vector operation.
 void VectorizeAtomics::combineAt(MutableArrayRef<Addition> additions) {
   constexpr int64_t size = sizeof(float);
   llvm::sort(additions, [](const Addition &a, const Addition &b) {
@@ -223,7 +228,8 @@ void VectorizeAtomics::emit(ArrayRef<Addition> additions) {
     if (last->comesBefore(addition.op))
       last = addition.op;
   IRBuilder<> builder(last);
-  // The first addition in memory may be a later instruction than others.
+  // `additions` are sorted by address: the first is not necessarily the first
+  // instruction.
   Value *pointer = additions.front().op->getPointerOperand();
   SmallVector<Value *> arguments = {pointer};
   SmallVector<Type *> types = {pointer->getType()};

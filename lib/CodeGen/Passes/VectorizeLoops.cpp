@@ -38,7 +38,8 @@ static bool isMaskedLoad(const IntrinsicInst &intrinsic) {
          intrinsic.getIntrinsicID() == Intrinsic::masked_gather;
 }
 
-/// Freezes masked loads whose results are selected after a write.
+/// Inserts a freeze of the result of each masked load that a select uses after
+/// a write to memory, so that the select is not folded into the load.
 static void pinMaskedLoads(Function &function) {
   SmallVector<IntrinsicInst *> pinned;
   for (Instruction &instruction : instructions(function)) {

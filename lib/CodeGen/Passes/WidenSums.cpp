@@ -40,13 +40,14 @@ static constexpr size_t kTermsInF32 = 4;
 static constexpr size_t kMostSums = 8;
 
 namespace {
-/// A number that is added, or subtracted if `isNegative`.
+/// A term of a sum: a number that is added, or subtracted if `isNegative`.
 struct Term {
   Value *value;
   bool isNegative;
 };
 
-/// A sum that a loop carries from iteration to iteration.
+/// The additions by which a loop computes a carried sum: from the phi of the
+/// sum to its value for the next iteration.
 struct Chain {
   PHINode *phi = nullptr;
   BinaryOperator *last = nullptr;
@@ -69,16 +70,17 @@ private:
   bool skipRounding(Function &function);
 
   LoopInfo &loops;
-  /// Values that this pass rounded from sums of f64.
+  /// f32 values that this pass has computed by rounding f64 sums.
   SmallPtrSet<Value *, 8> rounded;
-  /// Values without users; deleted at the end, so that no new value gets their
-  /// address before.
+  /// Instructions without users, which are deleted at the end: if they were
+  /// deleted earlier, a new instruction could get the address of a deleted one.
   SmallVector<WeakTrackingVH> dead;
   SmallVector<WeakVH> deadPhis;
 };
 } // namespace
 
-/// Returns the f32 addition (or subtraction) if its order is free, else null.
+/// Returns `value` as an f32 addition or subtraction if its operands may be
+/// reassociated; else null.
 static BinaryOperator *getFreeSum(Value *value) {
   auto *sum = dyn_cast<BinaryOperator>(value);
   if (!sum || !sum->getType()->getScalarType()->isFloatTy() ||
@@ -89,8 +91,8 @@ static BinaryOperator *getFreeSum(Value *value) {
   return sum;
 }
 
-/// The chain of additions from a loop-carried value to its value for the next
-/// iteration.
+/// Finds the chain of additions that leads from `phi`, a value that the loop
+/// carries, to its value for the next iteration.
 static std::optional<Chain> findChain(Loop &loop, PHINode &phi,
                                       const LoopInfo &loops) {
   BasicBlock *latch = loop.getLoopLatch();
@@ -146,7 +148,7 @@ static Type *getWide(Type *type) {
   return type->getWithNewType(Type::getDoubleTy(type->getContext()));
 }
 
-/// Adds up the terms of an iteration; the result is in f64.
+/// Emits the sum of the terms of one iteration, and converts it to f64.
 static Value *emitSum(IRBuilder<> &builder, ArrayRef<Term> terms, size_t most) {
   Value *total = nullptr;
   for (; !terms.empty();
@@ -170,8 +172,8 @@ static Value *emitSum(IRBuilder<> &builder, ArrayRef<Term> terms, size_t most) {
   return total;
 }
 
-/// Adds the terms of the chains to one additional sum of f64. Returns its value
-/// after an iteration.
+/// Adds to the loop a carried sum of type f64, which sums the terms of all
+/// `chains`. Returns its value after an iteration.
 static Value *emitWideChain(Loop &loop, ArrayRef<Chain> chains, size_t most) {
   BasicBlock *latch = loop.getLoopLatch(), *before = loop.getLoopPreheader();
   Type *inF64 = getWide(chains.front().phi->getType());
@@ -217,14 +219,15 @@ Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
   llvm::sort(sums, [](BinaryOperator *a, BinaryOperator *b) {
     return a->comesBefore(b);
   });
-  // Propagate signs from the root to the terms.
+  // Determine for each term whether it is added or subtracted, from the root of
+  // the tree downwards.
   SmallDenseMap<Value *, bool> isNegative;
   for (BinaryOperator *sum : llvm::reverse(sums)) {
     bool sign = isNegative.lookup(sum);
     isNegative[sum->getOperand(0)] = sign;
     isNegative[sum->getOperand(1)] =
         sign != (sum->getOpcode() == Instruction::FSub);
-    // A number that occurs twice in an addition may have two signs.
+    // A number that occurs twice in an addition would need two signs.
     if (sum->getOperand(0) == sum->getOperand(1))
       return nullptr;
   }
@@ -262,14 +265,16 @@ Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
   return total;
 }
 
-/// True for a loop with one latch, which is also its only exiting block.
+/// True for a loop with a preheader, whose only latch is its only exiting
+/// block.
 static bool isSimple(Loop &loop) {
   return loop.getLoopLatch() && loop.getLoopPreheader() &&
          loop.getExitingBlock() == loop.getLoopLatch();
 }
 
-/// The loop whose vectors of partial sums `reduction` adds up, and in `chains`
-/// their loop-carried values; null if there is none.
+/// Finds the loop whose vectors of partial sums the tree that ends in
+/// `reduction` adds up; null if there is none. `chains` gets the additions of
+/// each partial sum in the loop.
 Loop *SumWidener::findLanes(IntrinsicInst &reduction,
                             SmallVectorImpl<Chain> &chains) {
   const Loop *outside = loops.getLoopFor(reduction.getParent());
@@ -283,7 +288,8 @@ Loop *SumWidener::findLanes(IntrinsicInst &reduction,
     if (!is_contained(leaves, last))
       continue;
     std::optional<Chain> chain = findChain(*loop, phi, loops);
-    // The only uses are by the next iteration and by the tree.
+    // The partial sum may be used only by the next iteration and by the tree
+    // after the loop.
     if (!chain || !chain->last->hasNUses(2))
       return nullptr;
     chains.push_back(std::move(*chain));
