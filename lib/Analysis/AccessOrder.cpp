@@ -82,7 +82,8 @@ static SmallVector<Operation *> getLoopsBelow(Operation *op, Operation *outer) {
   return loops;
 }
 
-/// True if both loops run over the same, possibly empty, range.
+/// True if the loops `lhs` and `rhs` have the same range of indices; the range
+/// may be empty.
 static bool haveSameRange(Operation *lhs, Operation *rhs) {
   if (lhs->getName() != rhs->getName())
     return false;
@@ -119,8 +120,8 @@ bool mlir::tai::reachSameElement(DifferentiableAccessInterface lhs,
   if (lhs.getAccessIndices().size() != rhs.getAccessIndices().size())
     return false;
 
-  // Loops around only one of the accesses correspond if they have the same
-  // range.
+  // A loop around one access corresponds to a loop around the other access if
+  // both loops have the same range.
   Operation *lhsUp = lhs, *rhsUp = rhs;
   if (!findCommonBlock(lhsUp, rhsUp))
     return false;

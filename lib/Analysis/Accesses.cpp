@@ -92,7 +92,8 @@ AffineMap mlir::tai::getAffineMap(Operation *access, ValueRange indices) {
   if (!function || function.isExternal())
     return {};
   MLIRContext *context = access->getContext();
-  // In a fixed order: the terms of a form are sorted by pointers.
+  // List loop indices and arguments in a fixed order, because the terms of an
+  // IndexExpr are sorted by pointers.
   SmallVector<std::pair<Value, AffineExpr>> exprs;
   SmallVector<Value> dims = getEnclosingInductionVars(access);
   for (auto [i, iv] : llvm::enumerate(dims))
@@ -111,7 +112,8 @@ AffineMap mlir::tai::getAffineMap(Operation *access, ValueRange indices) {
         expr = expr + unit * coefficient;
         ++used;
       }
-    // If a sum of two numbers does not fit 32 bits, it is no index of a field.
+    // A sum of two numbers may wrap: if it does not fit 32 bits, it is no valid
+    // index of a field.
     bool isSum = form.width >= 32 && llvm::all_of(form.terms, [](auto &term) {
                    return std::abs(term.second) == 1;
                  });
@@ -166,7 +168,8 @@ static SmallVector<Value> getConcurrentInductionVars(Operation *op) {
   return ivs;
 }
 
-// The indices that are equal in all accesses must distinguish iterations.
+// The index expressions that are the same in all accesses must differ between
+// any two iterations.
 bool mlir::tai::isExclusive(ArrayRef<Operation *> accesses) {
   auto all = llvm::map_to_vector(accesses, getIndices);
   SmallVector<IndexExpr> common;
@@ -175,7 +178,8 @@ bool mlir::tai::isExclusive(ArrayRef<Operation *> accesses) {
           return indices[i] == index;
         }))
       common.push_back(index);
-  // Most accesses share a loop: determine the answer once for each loop.
+  // Most accesses are in the same loop, so compute the answer once for each
+  // loop.
   llvm::SmallDenseMap<Operation *, bool> byLoop;
   return llvm::all_of(accesses, [&](Operation *access) {
     auto [it, isNew] =

@@ -62,8 +62,8 @@ void mlir::tai::forEachForwarding(
     }
 }
 
-/// True if edges of regions define where the op's operands go: it has regions,
-/// or ends one.
+/// True if the edges that regions define say where the operands of `op` go:
+/// `op` has regions, or is the terminator of one.
 static bool passesThroughRegions(Operation *op) {
   return op->getNumRegions() != 0 || op->hasTrait<OpTrait::IsTerminator>();
 }
@@ -113,8 +113,8 @@ Activity::Activity(FunctionOpInterface function,
         if (carriesDerivative(use))
           llvm::for_each(user->getResults(), markVaried);
       } else if (isFloatOrVector(value.getType())) {
-        // A float is neither a condition nor a bound: without an edge, assume
-        // that it reaches every result.
+        // No edge says where this float goes, and it is neither a condition nor
+        // a bound: assume that it reaches every result of the op.
         bool isEnd = user->hasTrait<OpTrait::IsTerminator>();
         Operation *op = isEnd ? user->getParentOp() : user;
         llvm::for_each(op->getResults(), markVaried);

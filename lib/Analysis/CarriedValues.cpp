@@ -36,7 +36,7 @@ StringRef mlir::tai::stringifyCarriedKind(CarriedKind kind) {
   llvm_unreachable("no such kind");
 }
 
-/// The number of values that the loop carries.
+/// The number of values that a loop carries from iteration to iteration.
 static unsigned getNumCarried(Operation *loop) {
   if (auto forOp = dyn_cast<scf::ForOp>(loop))
     return forOp.getNumRegionIterArgs();
@@ -83,8 +83,8 @@ bool CarriedValues::isInvariant(Value value) const {
          matchPattern(value, m_Constant());
 }
 
-/// True if `value` is cheap to compute, before anything else in the iteration,
-/// from the number of the iteration and the known carried values.
+/// True if `value` can be computed cheaply at the start of an iteration, from
+/// the iteration number and the carried values marked in `known`.
 bool CarriedValues::isComputable(Value value, ArrayRef<bool> known,
                                  unsigned budget) const {
   if (isInvariant(value))
@@ -120,8 +120,8 @@ void CarriedValues::findClosedForm(unsigned index) {
   }
 }
 
-/// The step by `op`, if `operand` can be computed exactly from the result and
-/// the other operands.
+/// Describes `op` as a step that can be inverted; none if its operand number
+/// `operand` cannot be computed exactly from the result and the other operands.
 static std::optional<CarriedStep> getInvertibleStep(Operation *op,
                                                     unsigned operand) {
   if (isa<arith::AddIOp, arith::SubIOp, arith::XOrIOp, arith::NegFOp>(op)) {
@@ -137,7 +137,9 @@ static std::optional<CarriedStep> getInvertibleStep(Operation *op,
   return std::nullopt;
 }
 
-/// Solves the equation of carried value `source` for an unknown carried value.
+/// Solves the equation of carried value number `source` (next value =
+/// f(values)) for another carried value that is still unknown. False if that is
+/// impossible.
 bool CarriedValues::invert(unsigned source, ArrayRef<bool> known) {
   constexpr unsigned kBudget = 64;
   for (const CarriedValue &solved : values)

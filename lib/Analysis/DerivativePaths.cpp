@@ -30,7 +30,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 bool mlir::tai::isDiscrete(Operation *op) {
-  // By name: most of these dialects need not be loaded.
+  // Ops are listed by name, because most of their dialects need not be loaded.
   static const llvm::StringSet<> names = {
       "arith.cmpi",
       "arith.cmpf",
@@ -122,7 +122,7 @@ static bool isUnderstood(Value value, FunctionOpInterface function) {
 
 /// True for ops that only forward their operands.
 static bool isMove(Operation *op) {
-  // By name: most of these dialects need not be loaded.
+  // Ops are listed by name, because most of their dialects need not be loaded.
   static const llvm::StringSet<> names = {
       "arith.select",
       "builtin.unrealized_conversion_cast",
@@ -205,12 +205,13 @@ private:
   const DerivativeEnds &ends;
   function_ref<InFlightDiagnostic(Operation *, const Twine &)> emitError;
 
-  /// The edges along branches, loops, local variables and local arrays.
+  /// For operands and values: where a value goes to, or comes from, along
+  /// branches, loops, local variables and local arrays.
   DenseMap<OpOperand *, SmallVector<Value, 2>> targets;
   DenseMap<Value, SmallVector<Value, 2>> sources;
   SmallVector<Value> starts, wanted, bits;
-  /// Reads of memory that is not followed, and casts of the loaded bits to
-  /// floats.
+  /// Ops through which floats may enter unnoticed: reads of memory that this
+  /// analysis does not follow, and casts of loaded bits to floats.
   llvm::SetVector<Operation *> opaque;
   SmallVector<DifferentiableAccessInterface> writes;
 
@@ -228,7 +229,7 @@ void Paths::addEdges(OperandRange operands, ValueRange inputs) {
     addEdge(use, input);
 }
 
-/// The operand of an access that is the given value.
+/// The operand of `op` that is `value`.
 static OpOperand *findOperand(Operation *op, Value value) {
   for (OpOperand &operand : op->getOpOperands())
     if (operand.get() == value)
@@ -324,8 +325,8 @@ void Paths::collect() {
                                });
     collectRead(op);
   });
-  // If loaded bits are only moved and then cast to a float, the cast reads this
-  // float from memory.
+  // Follow bits loaded from memory: if they are only moved and then cast to a
+  // float, the cast is where the float is read.
   llvm::DenseSet<Value> seen(bits.begin(), bits.end());
   while (!bits.empty()) {
     Value value = bits.pop_back_val();
@@ -399,8 +400,8 @@ void Paths::findUseful() {
     if (!op || isa<DifferentiableAccessInterface>(op))
       continue;
     if (op->getNumRegions() != 0) {
-      // Conditions and bounds of ops that describe their control flow have no
-      // derivative.
+      // If `op` describes its control flow, its operands that are no floats are
+      // conditions and bounds, through which no derivative passes.
       bool isKnown = isa<RegionBranchOpInterface>(op);
       auto mark = [&](Operation *user) {
         for (Value operand : user->getOperands())
@@ -435,8 +436,8 @@ bool Paths::isOnPath(Operation *op) {
           LocalLoadOp, LocalStoreOp, StackPopOp, StackPushOp>(op) ||
       op->hasTrait<OpTrait::IsTerminator>() || op->getNumResults() == 0)
     return false;
-  // An op that creates a local array stands for the array's contents, which it
-  // only forwards.
+  // An op that creates a local array stands for the contents of the array. It
+  // only forwards these, and needs no rule.
   bool isMade = op->getNumOperands() == 0 && op->getNumRegions() == 0;
   if (isMade || isMemory(op->getResultTypes().front()))
     return false;
@@ -483,8 +484,8 @@ LogicalResult Paths::checkStores() {
       report(write, type);
       continue;
     }
-    // An array that a loop carries is unknown; other arrays are checked
-    // elsewhere.
+    // It is unknown which array a loop carries; stores to other arrays are
+    // checked elsewhere.
     Storage storage = write.getAccessedStorage();
     auto argument = dyn_cast_if_present<BlockArgument>(storage.memref);
     if (!argument || argument.getOwner()->getParentOp() == function ||
@@ -497,7 +498,7 @@ LogicalResult Paths::checkStores() {
   }
   if (!ends.isForward)
     return result;
-  // For gradients, all ops with effects are checked elsewhere.
+  // In reverse mode, all ops with side effects are checked elsewhere.
   function.walk([&](Operation *op) {
     if (isa<DifferentiableAccessInterface, DifferentiableOpInterface, PrintOp,
             AssertOp, LocalStoreOp, StackPushOp, CallOpInterface>(op) ||
@@ -513,7 +514,8 @@ LogicalResult Paths::checkStores() {
 }
 
 LogicalResult Paths::verify() {
-  // After tai-lower-layout, addresses do not tell which field they belong to.
+  // After the pass tai-lower-layout, an address does not tell which field it
+  // belongs to.
   WalkResult lowered = function->walk([&](TreeBaseOp op) {
     emitError(op, "cannot differentiate accesses that are lowered already")
             .attachNote(function.getLoc())

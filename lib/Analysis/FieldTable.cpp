@@ -24,7 +24,8 @@ LLVM::AliasScopeAttr FieldTable::makeScope(StringRef id) {
 
 FailureOr<const FieldInfo *> FieldTable::lookup(Operation *user,
                                                 FlatSymbolRefAttr name) {
-  // A nested module may have another field of the same name.
+  // The op may be in a nested module, in which the name can stand for another
+  // field.
   if (SymbolTable::getNearestSymbolTable(user) != symbols.getOp())
     return user->emitOpError("stands in a nested module, whose fields are not "
                              "lowered with those outside");
@@ -100,7 +101,8 @@ AliasScopes FieldTable::getArrayScopes() {
 std::optional<FieldSlice> FieldTable::getSlice(const FieldInfo &field,
                                                ArrayRef<bool> fixed) {
   ArrayRef<IndexDigit> digits = field.storage.digits;
-  // Digits by ascending stride, those of extent 1 left out: they add nothing.
+  // Sort the digits by ascending stride. Digits of extent 1 are left out,
+  // because they add nothing to an address.
   SmallVector<unsigned> order;
   for (unsigned i = 0; i != digits.size(); ++i)
     if (digits[i].extent != 1)

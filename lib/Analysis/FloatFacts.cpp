@@ -114,7 +114,7 @@ static Interval join(Interval a, Interval b) {
   return {std::min(a.low, b.low), std::max(a.high, b.high)};
 }
 
-/// x * x, and other even powers.
+/// The range of x * x, or of another even power of x, for x in `a`.
 static Interval square(Interval a, Type type) {
   double least = std::max({a.low, -a.high, 0.0});
   return makeRange(least * least, kInfinity, type);
@@ -126,8 +126,8 @@ static void narrow(Interval &range, Value value, Value condition, bool holds,
   Operation *op = condition.getDefiningOp();
   if (!op || depth-- == 0)
     return;
-  // Both parts of a conjunction that holds are true; both parts of a
-  // disjunction that fails are false.
+  // If a conjunction holds, both its parts hold; if a disjunction does not
+  // hold, neither part holds.
   if ((holds && isa<arith::AndIOp>(op)) || (!holds && isa<arith::OrIOp>(op))) {
     narrow(range, value, op->getOperand(0), holds, depth);
     narrow(range, value, op->getOperand(1), holds, depth);
@@ -142,9 +142,9 @@ static void narrow(Interval &range, Value value, Value condition, bool holds,
   std::optional<Interval> bound = getConstantRange(lhs == value ? rhs : lhs);
   if (!bound)
     return;
-  // Decides which end of the range the comparison bounds, with the value on the
-  // left. A comparison that fails implies the inverse comparison, since the
-  // value is assumed to be a number.
+  // Decide whether the comparison bounds `value`, on its left side, from above
+  // or from below. If the comparison fails, the inverse comparison holds, since
+  // `value` is assumed to be a number.
   using P = arith::CmpFPredicate;
   bool isAbove;
   switch (compare.getPredicate()) {
@@ -181,7 +181,7 @@ Interval FloatFacts::getRange(Value value, Operation *at, unsigned depth) {
   Interval range = computeRange(value, at, depth);
   if (!usesConditions || !at)
     return range;
-  // Use the conditions of the branches around `at`.
+  // Narrow the range by the conditions of the branches around `at`.
   for (Operation *op = at; Operation *parent = op->getParentOp(); op = parent)
     if (auto branch = dyn_cast<scf::IfOp>(parent))
       narrow(range, value, branch.getCondition(),
@@ -214,8 +214,8 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
       })
       .Case([&](arith::DivFOp op) {
         Interval rhs = of(op.getRhs());
-        // With a divisor that is not negative, a quotient has the dividend's
-        // sign.
+        // If the divisor is not negative, the quotient has the sign of the
+        // dividend.
         Interval inverse = rhs.low >= 0    ? Interval{0, kInfinity}
                            : rhs.high <= 0 ? Interval{-kInfinity, 0}
                                            : all;
@@ -238,14 +238,15 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
         return Interval{std::min(a.low, b.low), std::min(a.high, b.high)};
       })
       .Case([&](math::ClampFOp op) {
-        // If the bounds are in the wrong order, the result may be either bound.
+        // The result of a clamp whose bounds are in the wrong order is one of
+        // the bounds.
         return join(of(op.getMin()), of(op.getMax()));
       })
       .Case([&](arith::SelectOp op) {
         Interval a = of(op.getTrueValue()), b = of(op.getFalseValue());
         if (!isa<VectorType>(op.getCondition().getType())) {
-          // The arm is taken only where the condition holds: a maximum may be
-          // written as a select.
+          // The arms of a select are narrowed by its condition, because a
+          // maximum can be written as a select.
           narrow(a, op.getTrueValue(), op.getCondition(), true, depth);
           narrow(b, op.getFalseValue(), op.getCondition(), false, depth);
         }
@@ -361,13 +362,13 @@ bool FloatFacts::isNonNegative(Value value, Operation *at) {
 bool FloatFacts::isNonZero(Value value, Operation *at) {
   if (needsNonZero(at, value))
     return true;
-  // A vector constant with components of both signs has a range that contains
-  // zero.
+  // Constants first: the range of a vector constant with components of both
+  // signs contains zero, although no component may be zero.
   if (matchConstant(
           value, [](const APFloat &x) { return x.isFinite() && !x.isZero(); }))
     return true;
-  // The divisor of a normalisation is not zero, and is never smaller than a
-  // component of the dividend.
+  // The divisor of a normalisation v / |v| is not zero, and not smaller than
+  // any component of v.
   if (isNormalization(at) && at->getOperand(1) == value)
     return true;
   Interval range = getRange(value, at);
@@ -450,8 +451,8 @@ bool FloatFacts::computeMayBeNonFinite(Value value) {
     return false;
   if (matchPattern(op, m_Constant()))
     return !matchConstant(value, [](const APFloat &x) { return x.isFinite(); });
-  // The bounds of a clamp hold for an infinite operand too; NaN passes, but
-  // comes from an operand that is itself not finite.
+  // A clamp bounds its result even if its operand is infinite. A NaN passes,
+  // but it comes from an operand that is itself not finite.
   return makesNonFinite(op, *this) ||
          llvm::any_of(op->getOperands(),
                       [&](Value operand) { return mayBeNonFinite(operand); });

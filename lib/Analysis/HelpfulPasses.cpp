@@ -19,16 +19,18 @@ using namespace mlir::tai;
 
 namespace {
 struct HelpfulPass {
-  /// The name of an op or, without a dot, of a dialect.
+  /// `name`: the name of an op, or of a dialect if it has no dot. `pass`: the
+  /// pass that turns the op, or the dialect's ops, into ops with derivatives.
   StringLiteral name, pass;
 };
 } // namespace
 
-/// The pass that runs all passes of `kPrepared`.
+/// The pass that applies all lowerings listed in `kPrepared`.
 static constexpr StringLiteral kPrepare = "tai-prepare-foreign";
 
-// By name: most of these dialects need not be loaded. Ops come before their
-// dialects; ops that no pass lowers have an empty pass.
+// Ops and dialects are given by name, because most of the dialects need not be
+// loaded. An op comes before its dialect; an op that no pass lowers has an
+// empty pass.
 static constexpr HelpfulPass kPrepared[] = {
     {"llvm.bitcast", ""},
     {"tensor.bitcast", ""},

@@ -23,8 +23,9 @@ bool tai::checksIndices(Operation *op) {
 
 void IndexBounds::checkPiece(const IterationDomain &domain, LinearSystem system,
                              BoundsAnswer &answer, bool &isExact) {
-  // First, whether this happens in any launch at all. Ranges of launch values
-  // help to decide that, but are not part of the checks at the launch.
+  // First decide whether the system has a solution for any launch at all. The
+  // known ranges of launch values help to decide that, but do not become part
+  // of the checks at launch time.
   LinearSystem all = system;
   SmallVector<unsigned> used = system.getVariables();
   for (unsigned number : used) {
@@ -49,13 +50,14 @@ void IndexBounds::checkPiece(const IterationDomain &domain, LinearSystem system,
   eliminateLoops(domain, std::move(system), {}, answer, isExact);
 }
 
-/// Adds a violation: the conditions on a launch under which the system holds in
-/// some iteration. `violation` has the loop indices that are already
-/// determined.
+/// Eliminates the loop indices from `system`, and adds the conditions on a
+/// launch that remain as a violation: an iteration solves the system if they
+/// hold. `violation` has the loop indices that are already determined.
 void IndexBounds::eliminateLoops(const IterationDomain &domain,
                                  LinearSystem system, Violation violation,
                                  BoundsAnswer &answer, bool &isExact) {
-  // Eliminate inner loops first. Keep the eliminated loops for the report.
+  // Eliminate inner loops first, and note how each loop index follows from the
+  // indices of the loops around, for the report.
   SmallVector<Violation::Step> known = std::move(violation.iteration);
   violation.iteration.clear();
   SmallVector<unsigned> used = system.getVariables(), order;
@@ -104,10 +106,11 @@ void IndexBounds::eliminateLoops(const IterationDomain &domain,
 // corner, so that its iteration does run; iterations other than corners are not
 // checked.
 
-/// A corner: the sums that replace the loop indices.
+/// A corner of a box of iterations: for each loop of the box, the sum that
+/// replaces its index.
 using Corner = llvm::SmallDenseMap<unsigned, LinearSum, 4>;
 
-/// Collects the loops whose indices occur in products.
+/// Collects in `loops` the loops whose indices occur in products of `sum`.
 static void collectLoopsOfProducts(const IndexForms &forms,
                                    const LinearSum &sum, bool isInProduct,
                                    SmallVectorImpl<unsigned> &loops) {
@@ -121,8 +124,8 @@ static void collectLoopsOfProducts(const IndexForms &forms,
   }
 }
 
-/// The sum in the given corner. Products of launch values with loop indices
-/// that the corner determines become launch values.
+/// Replaces the loop indices in `sum` by those of `corner`. Products of a
+/// launch value and a replaced loop index become launch values.
 static LinearSum substitute(IndexForms &forms, const LinearSum &sum,
                             const Corner &corner,
                             SmallVectorImpl<LinearSum> &facts) {
@@ -133,7 +136,8 @@ static LinearSum substitute(IndexForms &forms, const LinearSum &sum,
     if (auto known = corner.find(variable); known != corner.end()) {
       value = known->second;
     } else if (forms.getKind(variable) == IndexForms::Kind::Product) {
-      // Copy the factors: a new variable may reallocate the table.
+      // Copy both factors: making a new variable may reallocate the table that
+      // holds them.
       LinearSum first = forms.getFactors(variable)[0];
       LinearSum second = forms.getFactors(variable)[1];
       second = substitute(forms, second, corner, facts);
@@ -154,7 +158,8 @@ void IndexBounds::checkCorners(const IterationDomain &domain,
   answer.isInRange = isExact = false;
   SmallVector<unsigned> used, loops;
   collectLoopsOfProducts(forms, beyond, false, used);
-  // Outer loops first: their indices may bound inner loops.
+  // Outer loops come first, because inner loops may be bounded by their
+  // indices.
   for (unsigned loop : domain.loops)
     if (llvm::is_contained(used, loop))
       loops.push_back(loop);
@@ -166,7 +171,8 @@ void IndexBounds::checkCorners(const IterationDomain &domain,
     SmallVector<LinearSum> facts;
     Violation violation;
     for (auto [number, loop] : llvm::enumerate(loops)) {
-      // loop - first >= 0, or last - loop >= 0.
+      // Find the bound of this loop: a row loop - first >= 0, or last - loop >=
+      // 0.
       int64_t side = choice >> number & 1 ? -1 : 1;
       for (const LinearSum &row : piece) {
         if (row.getFactor(loop) != side)
@@ -204,7 +210,8 @@ void IndexBounds::checkCorners(const IterationDomain &domain,
 void IndexBounds::checkSide(const IterationDomain &domain,
                             const LinearSum &beyond, BoundsAnswer &answer,
                             bool &isExact) {
-  // Decides most indices, which are a loop's index plus a small constant.
+  // The range alone decides for most indices, which are a loop index plus a
+  // small constant.
   if (forms.rangeOfSum(beyond).high < 0)
     return;
   for (const SmallVector<LinearSum> &piece : domain.pieces) {
@@ -241,7 +248,8 @@ BoundsAnswer IndexBounds::check(const IndexedAccess &access, size_t number,
   domain.addFacts(form);
   answer.isInRange = true;
   bool isExact = true;
-  // first - 1 - index >= 0, and index - (first + size) >= 0.
+  // The index is out of range if first - 1 - index >= 0, or if index - (first +
+  // size) >= 0.
   checkSide(domain, LinearSum::of(first - 1).plus(form.sum, -1), answer,
             isExact);
   checkSide(domain, form.sum.plus(size.sum, -1).plus(-first), answer, isExact);

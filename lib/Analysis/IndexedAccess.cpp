@@ -49,8 +49,8 @@ std::string tai::describeArray(MemRefType type) {
   return text;
 }
 
-/// The dimension along which the innermost list above a field grows, which is
-/// not among the indices of ops on the list.
+/// The dimension of a field along which the innermost list above it grows. Ops
+/// on lists have no index for this dimension.
 static size_t findListDimension(const FieldLayout &layout) {
   for (const PathLevel &level : llvm::reverse(layout.path.levels))
     if (level.type.isList())
@@ -60,7 +60,8 @@ static size_t findListDimension(const FieldLayout &layout) {
   llvm_unreachable("the field is below no list");
 }
 
-/// Adds pointers to the operands, which may be replaced.
+/// Adds the operands to the access by pointers, so that a client can replace
+/// them.
 static void addOperands(IndexedAccess &access, OperandRange operands) {
   for (unsigned i = 0; i != operands.size(); ++i)
     access.indices.push_back(&operands.getBase()[i]);

@@ -45,22 +45,24 @@ static bool hasConstantBounds(Value value) {
 }
 
 namespace {
-/// How the second of two accesses is later than the first: in the same
+/// One way in which an access can come later than another: in the same
 /// iteration of all loops around both (`loop` is null), or in a later iteration
-/// of `loop`. All `moving` values are then the same positive number of steps
-/// ahead.
+/// of `loop`. In the latter case, all `moving` values are ahead by the same
+/// positive number of steps.
 struct Later {
   Operation *loop = nullptr;
-  /// Values that grow by a constant, possibly negative, in each iteration.
+  /// Values that grow by a constant in each iteration, paired with the
+  /// constant, which may be negative.
   SmallVector<std::pair<Value, int64_t>, 2> moving;
-  /// Moving values are known only modulo 2^width.
+  /// The number of low bits in which the moving values grow by that constant.
   unsigned width = 64;
-  /// Values of the loop, or of both regions of a while loop, that are equal in
-  /// both accesses.
+  /// Values that change in the loop (or in the two regions of a while loop) but
+  /// are equal in both accesses.
   SmallVector<Value, 2> same;
-  /// The maximum number of iterations between the first and the last iteration.
+  /// An upper bound of the number of iterations between the two accesses.
   __int128 most = kMostIterations;
-  /// Whether indices are assumed not to wrap around, unless they are known to.
+  /// Whether indices are assumed to be in range, and so not to wrap around,
+  /// unless they are known to wrap.
   bool inRange = false;
 
   bool moves(Value value) const {
@@ -70,8 +72,9 @@ struct Later {
 };
 } // namespace
 
-/// The form in terms of the values with which an iteration of `scf.while`
-/// begins: the arguments of its second region are values of its first region.
+/// Rewrites an expression in terms of the values with which an iteration of
+/// `scf.while` begins: arguments of its second region are replaced by the
+/// values that its first region passes on.
 static IndexExpr getForm(IndexBuilder &builder, IndexExpr form) {
   for (unsigned round = 0; round != 4; ++round) {
     IndexExpr next =
@@ -92,14 +95,16 @@ static IndexExpr getForm(IndexBuilder &builder, IndexExpr form) {
   return form;
 }
 
-/// True if arithmetic of the form is known to overflow its type in some
+/// True if the arithmetic of `form` certainly overflows its type in some
 /// iteration.
 static bool isKnownToWrap(IndexBuilder &builder, const IndexExpr &form) {
   return form.allOf(hasConstantBounds) &&
          !builder.getRange(form).fits(form.width);
 }
 
-/// True if the indices differ whenever `second` is later as `later` describes.
+/// True if the index `first` of one access and the index `second` of a later
+/// access certainly differ, where `later` says in which way the second access
+/// is later.
 static bool areApart(IndexBuilder &builder, const IndexExpr &first,
                      const IndexExpr &second, Block *common,
                      const Later &later) {
@@ -110,10 +115,11 @@ static bool areApart(IndexBuilder &builder, const IndexExpr &first,
     return later.loop ? !later.loop->isAncestor(owner)
                       : owner->isAncestor(common->getParentOp());
   };
-  // Terms with equal values in both accesses cancel.
+  // Terms that have the same value in both accesses cancel in the difference.
   IndexExpr shared;
   IndexDifference difference;
-  // Moving terms of the second access are a positive number of steps ahead.
+  // The moving terms of the second access are ahead by a positive number of
+  // steps.
   int64_t perStep = 0;
   for (auto [value, step] : later.moving) {
     perStep -= second.getCoefficient(value) * step;
@@ -141,7 +147,8 @@ static bool areApart(IndexBuilder &builder, const IndexExpr &first,
       std::min({widthOf(first), widthOf(second), later.width}));
 }
 
-/// Whether two lists of indices of equal length differ in some index.
+/// True if two lists of indices of equal length certainly differ in at least
+/// one index.
 static bool areApart(IndexBuilder &builder, ValueRange first, ValueRange second,
                      Block *common, const Later &later) {
   return llvm::any_of(llvm::zip(first, second), [&](auto pair) {
@@ -162,12 +169,13 @@ static bool tellApart(IndexBuilder &builder, Operation *loop, ValueRange first,
       *cast<LoopLikeOpInterface>(loop).getLoopInductionVars());
 }
 
-/// The ways in which an iteration of `loop` can be later than another.
+/// Lists the ways in which one iteration of `loop` can be later than another.
 static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
   SmallVector<Later> ways;
   Later later;
   later.loop = loop;
-  // False if the loop index has at most one value.
+  // Bounds the number of steps by the range of the loop index. False if that
+  // index has at most one value.
   auto setMost = [&](Value iv, int64_t step) {
     IndexRange range = builder.getRange(IndexAtom(iv));
     later.most =
@@ -182,8 +190,9 @@ static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
     if (!setMost(serial.getInductionVar(), step))
       return ways;
   } else if (auto parallel = dyn_cast<ParallelForOp>(loop)) {
-    // Iterations are ordered lexicographically: `same` are the outer indices,
-    // which are equal, and `iv` is the first index that differs.
+    // Iterations of a loop with several indices are ordered lexicographically:
+    // `same` has the outer indices, which are equal in both iterations, and
+    // `iv` is the first index that differs.
     for (BlockArgument iv : parallel.getInductionVars()) {
       later.moving.assign({{iv, 1}});
       if (setMost(iv, 1))
@@ -270,7 +279,7 @@ bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
     llvm::append_range(inSame.same, whileOp.getBeforeArguments());
     loop = whileOp;
   } else {
-    // Arms of a branch exclude each other in an iteration.
+    // In the same iteration, only one arm of an scf.if runs.
     follows = first != second && !isa<scf::IfOp>(firstUp);
   }
   if (follows && mayAlias(inSame))

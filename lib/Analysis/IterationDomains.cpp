@@ -35,7 +35,7 @@ void IterationDomain::addFacts(const LinearForm &form) {
 // Conditions
 //===----------------------------------------------------------------------===//
 
-/// Adds lhs - rhs >= gap.
+/// Adds to `domain` the constraint lhs - rhs >= gap.
 void IterationDomains::addComparison(Domain &domain, Value lhs, Value rhs,
                                      int64_t gap) {
   LinearForm difference = forms.formOf(lhs).plus(forms.formOf(rhs), -1);
@@ -91,7 +91,8 @@ void IterationDomains::addCondition(Domain &domain, Value condition,
     return give();
   }
   if (auto select = dyn_cast_if_present<arith::SelectOp>(op)) {
-    // Logical "and" and "or" with short-circuit evaluation, as selects.
+    // A select with a constant arm is a logical "and" or "or" with
+    // short-circuit evaluation.
     if (matchPattern(select.getFalseValue(), m_Zero()))
       return holds ? both(select.getCondition(), true, select.getTrueValue(),
                           true)
@@ -135,7 +136,8 @@ void IterationDomains::addCondition(Domain &domain, Value condition,
         [&](Domain &one) { addComparison(one, b, a, 1); });
   case Predicate::ult:
   case Predicate::ule:
-    // 0 <= a < b (or <= b), where b is not negative.
+    // An unsigned a < b (or a <= b) with a b that is not negative means 0 <= a
+    // < b (or 0 <= a <= b).
     if (forms.rangeOf(b).low < 0)
       return give();
     domain.addRow(forms.formOf(a).sum);
@@ -152,7 +154,7 @@ void IterationDomains::addCondition(Domain &domain, Value condition,
 // Loops
 //===----------------------------------------------------------------------===//
 
-/// Adds lower <= iv < upper.
+/// Adds to `domain` the bounds of a loop index: lower <= iv < upper.
 void IterationDomains::addLoop(Domain &domain, BlockArgument iv, Value lower,
                                Value upper) {
   LinearForm index = forms.formOf(iv);
@@ -176,7 +178,8 @@ void IterationDomains::addLoop(Domain &domain, ParallelForOp loop) {
   for (auto [iv, first, extent] :
        llvm::zip(loop.getInductionVars(), layout.offset, layout.shape)) {
     LinearForm index = forms.formOf(iv);
-    // The index of an axis of one element is a constant, not a variable.
+    // The index along a dimension of extent 1 is a constant, so its sum has no
+    // variable.
     for (auto [variable, factor] : index.sum.terms)
       domain.loops.push_back(variable);
     domain.addRow(index.sum.plus(-first));
@@ -208,8 +211,9 @@ IterationDomain IterationDomains::domainOf(Block *block) {
       addLoop(domain, iv, serial.getLowerBound(), serial.getUpperBound());
       domain.isCertain &= step && *step > 0;
     }
-    // The number of steps is not negative. A loop with a single iteration has
-    // no such variable.
+    // The sum of a loop index with a step has a variable for the number of
+    // steps, which is not negative. A loop with a single iteration has no
+    // variable.
     if (step && *step > 1 && domain.loops.size() > outer)
       domain.addRow(LinearSum::variable(domain.loops.back()));
   } else if (auto branch = dyn_cast<scf::IfOp>(parent)) {

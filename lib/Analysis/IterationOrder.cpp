@@ -27,9 +27,10 @@ enum class Effect { Read, Write, Update };
 struct ElementAccess {
   ElementPlace place;
   Effect effect = Effect::Read;
-  /// The value of a write.
+  /// The value that a write stores.
   Value stored;
-  /// Updates of the same kind commute; subtractions have the kind of additions.
+  /// The kind of an update: updates of the same kind commute. Subtractions
+  /// count as additions.
   AtomicKind kind = AtomicKind::Add;
   bool usesOld = false;
 };
@@ -43,7 +44,8 @@ static bool isFromOutside(ParallelForOp loop, Value value) {
   return !loop->isAncestor(value.getParentBlock()->getParentOp());
 }
 
-/// True if both accesses write the same value, in whichever iterations.
+/// True if the writes `a` and `b` store the same value, whichever iterations
+/// they are in.
 static bool storeEqual(ParallelForOp loop, const ElementAccess &a,
                        const ElementAccess &b) {
   if (a.effect != Effect::Write || b.effect != Effect::Write)
@@ -72,7 +74,8 @@ static FailureOr<KeyedAccess> getAccess(ParallelForOp loop, Operation *op) {
   ElementAccess access;
   KeyedAccess none(nullptr, access);
   if (auto field = dyn_cast<FieldAccessOpInterface>(op)) {
-    // Ops on the activity of cells are atomic by themselves.
+    // Ops that change or test the activity of cells are atomic by themselves,
+    // and need no order.
     if (!field.isElementAccess())
       return none;
     access.place.indices = field.getIndices();

@@ -17,7 +17,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The number of slots of a value of the type; see Abi.h.
+/// The number of argument slots that a value of the type occupies; see Abi.h.
 static int64_t countSlots(Type type) {
   if (auto vector = dyn_cast<VectorType>(type))
     return vector.getNumElements();
@@ -33,7 +33,7 @@ int64_t mlir::tai::countSlots(TypeRange types) {
   return slots;
 }
 
-/// The integer arguments of kernels, and their slots.
+/// Maps the integer arguments of all kernels to their argument slots.
 static DenseMap<Value, int64_t> findIntegerArguments(ModuleOp module) {
   DenseMap<Value, int64_t> slots;
   for (KernelOp kernel : module.getOps<KernelOp>()) {
@@ -50,8 +50,8 @@ static DenseMap<Value, int64_t> findIntegerArguments(ModuleOp module) {
 
 using ArgumentSlots = DenseMap<Value, int64_t>;
 
-/// The index along a dimension, if it is a sum of constants and integer
-/// arguments.
+/// Describes the index along `dimension` in terms of the launch's arguments, if
+/// it is a sum of constants and integer arguments; otherwise none.
 static std::optional<runtime::FixedIndex>
 evaluateOnLaunch(const IndexExpr &form, size_t dimension,
                  const ArgumentSlots &slots) {
@@ -69,7 +69,8 @@ evaluateOnLaunch(const IndexExpr &form, size_t dimension,
   return fixed;
 }
 
-/// The indices that are sums of constants and integer arguments.
+/// Of an access's indices, those that are sums of constants and integer
+/// arguments.
 static std::vector<runtime::FixedIndex>
 getFixedIndices(ValueRange indices, const ArgumentSlots &slots) {
   std::vector<runtime::FixedIndex> found;
@@ -80,11 +81,12 @@ getFixedIndices(ValueRange indices, const ArgumentSlots &slots) {
 }
 
 //===----------------------------------------------------------------------===//
-// Elements that are stored in any case
+// Elements that a kernel certainly stores
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// An induction variable and its bounds in a launch.
+/// A loop around a store: its induction variable, and its bounds in terms of
+/// the launch's arguments.
 struct LoopRange {
   Value iv;
   runtime::StoredBox::Range range;
@@ -92,8 +94,8 @@ struct LoopRange {
 };
 } // namespace
 
-/// The loops around a store, if its kernel has nothing but loops around it, and
-/// these run from a lower to an upper bound in steps of one; else nothing.
+/// The loops around a store, if the store is under loops only, and each loop
+/// runs from a lower to an upper bound in steps of one; otherwise none.
 static std::optional<SmallVector<LoopRange>>
 findLoopRanges(Operation *store, const ArgumentSlots &slots) {
   SmallVector<LoopRange> ranges;
@@ -183,7 +185,7 @@ findStoredBox(Operation *store, ValueRange indices,
   for (const LoopRange &loop : *loops)
     if (!loop.isUsed)
       box.loops.push_back(loop.range);
-  // Loops that certainly have an iteration need no check.
+  // The launch need not check loops that certainly have an iteration.
   llvm::erase_if(box.loops, [](const runtime::StoredBox::Range &loop) {
     return loop.lower.terms.empty() && loop.upper.terms.empty() &&
            loop.lower.constant < loop.upper.constant;
@@ -196,8 +198,8 @@ mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
                            ArrayRef<NamedAccess> accesses) {
   ArgumentSlots slots = findIntegerArguments(module);
   using Boxes = std::vector<runtime::StoredBox>;
-  // The boxes of each access; nothing if a store without a box belongs to the
-  // access.
+  // For each access, the boxes of elements that its stores reach; no value if
+  // one of its stores has no box.
   std::vector<std::optional<Boxes>> found(accesses.size(), Boxes());
   auto add = [&](StringRef field, const std::vector<runtime::FixedIndex> &fixed,
                  std::optional<runtime::StoredBox> box) {
@@ -205,8 +207,8 @@ mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
       if (access.kind != runtime::AccessKind::Write || field != access.field ||
           !boxes)
         continue;
-      // An access with a single fixed index may stand for stores with more
-      // fixed indices (see mostPlaces).
+      // An access with one fixed index can stand for several stores with
+      // further fixed indices, which were dropped (see mostPlaces).
       bool isPart = access.fixed.size() == 1 && fixed.size() > 1 &&
                     access.fixed.front() == fixed.front();
       if (access.fixed != fixed && !isPart)
@@ -242,7 +244,7 @@ mlir::tai::findStoredBoxes(KernelOp kernel, BlockArgument array) {
     if (argument.getType().isSignlessInteger() &&
         argument.getType().getIntOrFloatBitWidth() <= 64)
       slots[argument] = next;
-    // The extents of an array follow its pointer in the slots.
+    // In the slots, the extents of an array follow its pointer.
     for (Operation *user : argument.getUsers())
       if (auto dim = dyn_cast<memref::DimOp>(user))
         if (std::optional<int64_t> index = dim.getConstantIndex())
@@ -315,7 +317,7 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
       return add(field, isSum ? Kind::Accumulate : Kind::Write,
                  atomic.getIndices());
     }
-    // Other operations on a field may have any effect on it.
+    // Any other operation that names a field may read and write all of it.
     add(field, Kind::Read);
     add(field, Kind::Write);
   });

@@ -66,7 +66,8 @@ static std::optional<int64_t> combine(IndexNode::Kind kind, int64_t lhs,
   return std::nullopt;
 }
 
-/// The expression with numbers substituted for some of its values.
+/// Substitutes numbers for the values in `expr` that have an entry in
+/// `numbers`.
 static IndexExpr evaluate(const IndexExpr &expr, const Numbers &numbers) {
   IndexExpr result(expr.constant);
   for (const auto &[atom, factor] : expr.terms) {
@@ -131,7 +132,8 @@ public:
   }
 
 private:
-  /// The result is `decisive` if one of the operands is.
+  /// Evaluates an `and` or `or`: the result is `decisive` (false or true) as
+  /// soon as one of the operands is.
   std::optional<bool> getUnless(Operation *op, bool decisive) {
     std::optional<bool> lhs = get(op->getOperand(0));
     if (lhs == decisive)
@@ -158,7 +160,8 @@ private:
       return arith::applyCmpPredicate(comparison.getPredicate(), number(lhs),
                                       number(rhs));
     }
-    // Both sides are the same number, whatever its value.
+    // The two sides are equal, so the comparison is decided without knowing
+    // their value.
     if (lhs == rhs)
       return arith::applyCmpPredicate(comparison.getPredicate(), APInt(64, 0),
                                       APInt(64, 0));
@@ -207,7 +210,8 @@ public:
 
   size_t getRank() { return box.ivs().size(); }
 
-  /// The values to try for an index, given the indices of the loops around it.
+  /// The values to try for loop index number `number`, given the indices of the
+  /// loops around that loop.
   SmallVector<int64_t> getCandidates(unsigned number, const Numbers &numbers) {
     SmallVector<int64_t> values;
     if (number >= getRank()) {
@@ -237,7 +241,8 @@ public:
     return values;
   }
 
-  /// True if the access certainly runs with these indices.
+  /// True if the access certainly runs in the iteration with the loop indices
+  /// `numbers`.
   bool runs(const Numbers &numbers) {
     for (auto [dim, iv] : llvm::enumerate(box.ivs())) {
       int64_t value = numbers.lookup(iv);
@@ -262,11 +267,11 @@ public:
   IndexBuilder &builder;
   LoopBox box;
   SmallVector<IndexExpr> place, components;
-  /// The indices of the parallel loop, then of the serial loops from the
-  /// outermost to the innermost.
+  /// The indices of the parallel loop, then those of the serial loops within
+  /// it, outermost first.
   SmallVector<Value> ivs;
-  /// Whether only serial loops and branches are between the parallel loop and
-  /// the access.
+  /// True if nothing but serial loops and branches is between the parallel loop
+  /// and the access.
   bool isKnown = true;
 
 private:
@@ -296,7 +301,8 @@ private:
 class Search {
 public:
   Search(Side &first, Side &second) : first(first), second(second) {
-    // A whole element overlaps each of its components.
+    // If only one access has component indices, compare the elements alone: a
+    // whole element overlaps each of its components.
     compares = first.components.size() == second.components.size();
   }
 
@@ -317,7 +323,8 @@ private:
     return place;
   }
 
-  /// Tries the indices of the first access from `number` on.
+  /// Tries values for the loop indices of the first access, from index number
+  /// `number` on. True if an example is found.
   bool tryFirst(unsigned number) {
     if (!step())
       return false;
@@ -325,7 +332,8 @@ private:
       if (!first.runs(ofFirst))
         return false;
       element = getPlace(first, ofFirst);
-      // The terms that remain must be the same in both iterations.
+      // Parts of the element's indices that stay symbolic must have the same
+      // value in both iterations.
       auto isFromOutside = [&](Value value) {
         return !first.box.loop->isAncestor(
             value.getParentBlock()->getParentOp());
@@ -370,8 +378,8 @@ private:
         int64_t factor = index.getCoefficient(unknown);
         IndexExpr rest = wanted;
         rest.add(index, -1).add(IndexExpr(unknown), factor);
-        // A term that remains contains the unknown in a quotient: the equation
-        // cannot be solved for it.
+        // Not solvable if what remains besides this term contains the unknown,
+        // for example in a quotient.
         if (factor == 0 || !rest.isConstant())
           continue;
         if (rest.constant % factor != 0)
@@ -430,8 +438,8 @@ mlir::tai::findExample(DifferentiableAccessInterface lhs,
     return std::nullopt;
   if (auto found = Search(left, right).run())
     return found;
-  // Swapped, so that an index in a quotient, which cannot be solved for, is
-  // tried.
+  // Search again with the accesses exchanged: an index in a quotient, which
+  // cannot be solved for, is then tried.
   auto found = Search(right, left).run();
   if (found)
     std::swap(found->lhs, found->rhs);

@@ -24,7 +24,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Known facts about one dimension of i and j.
+/// Equations known about one dimension of two iterations i and j: their indices
+/// and the difference, as far as determined.
 struct Unknown {
   std::optional<int64_t> i, j, difference; // j - i
 
@@ -64,8 +65,8 @@ static FailureOr<std::pair<int, int64_t>> getLoopTerm(LoopBox &box,
   return found;
 }
 
-/// The part of the form that is the same in all iterations, without its
-/// constant.
+/// The part of an index expression that is the same in all iterations of the
+/// loop, without its constant.
 static IndexExpr dropLoopTerms(LoopBox &box, IndexExpr form) {
   llvm::erase_if(form.terms,
                  [&](auto &term) { return findIndex(box, term.first); });
@@ -100,7 +101,7 @@ static bool addEquation(LoopBox &box, const IndexExpr &lhs,
 }
 
 namespace {
-/// The numbers in [lower, upper).
+/// The integers in [lower, upper).
 struct Interval {
   int64_t lower, upper;
 
@@ -108,8 +109,8 @@ struct Interval {
 };
 } // namespace
 
-/// True if the dimension has a solution with i and j in their ranges; sets
-/// `differ` if there is a solution with i != j.
+/// True if the equations `unknown` have a solution with i in `is` and j in
+/// `js`; sets `differ` if there is a solution with i != j.
 static bool solve(Unknown unknown, Interval is, Interval js, bool &differ) {
   if (is.lower >= is.upper || js.lower >= js.upper)
     return false;
@@ -138,7 +139,8 @@ static bool solve(Unknown unknown, Interval is, Interval js, bool &differ) {
   return true;
 }
 
-/// The bounds of a loop; unknown bounds are assumed to be far away.
+/// The box of a loop; a bound that is not known is replaced by a very large
+/// number, so that the loop counts as long.
 static LoopBox getLongBox(ParallelForOp loop) {
   constexpr int64_t kFar = int64_t(1) << 40;
   if (std::optional<LoopBox> box = getIndexBox(loop))

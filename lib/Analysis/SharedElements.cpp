@@ -47,7 +47,8 @@ static std::pair<Value, Value> getConjunction(Value condition, bool holds) {
 }
 
 namespace {
-/// The comparisons that are known to hold where an access runs.
+/// The comparisons that are known to hold where an access runs, because of the
+/// branches around it.
 class Conditions {
 public:
   Conditions(Operation *access, ParallelForOp loop) : loop(loop) {
@@ -58,12 +59,14 @@ public:
             branch.getThenRegion().isAncestor(op->getParentRegion()));
   }
 
-  /// The differences that are known to be zero.
+  /// The differences that are zero because a comparison for equality holds.
   ArrayRef<IndexExpr> getZeros() const { return zeros; }
-  /// True if a condition compares for equality, which few iterations satisfy.
+  /// True if a condition around the access compares for equality: only few
+  /// iterations satisfy it.
   bool haveEquality() const { return isEquality; }
 
-  /// Removes iterations in which comparisons with constants do not hold.
+  /// Removes from `box` the iterations that do not satisfy the comparisons with
+  /// constants.
   void narrow(LoopBox &box) const {
     for (const IndexExpr &zero : zeros)
       narrow(box, zero, /*most=*/0, /*least=*/true);
@@ -71,7 +74,8 @@ public:
       narrow(box, bound.second, bound.first == Less ? -1 : 0, /*least=*/false);
   }
 
-  /// True if all conditions are comparisons that narrow() handles.
+  /// True if every condition around the access is a comparison that narrow()
+  /// handles.
   bool areUnderstood(LoopBox &box) const {
     return !isUnknown && llvm::all_of(zeros, [&](auto &zero) {
       return isOfOneIndex(box, zero);
@@ -80,8 +84,9 @@ public:
     });
   }
 
-  /// Adds limits of loop indices by values from outside the loop. False if
-  /// there are conditions of any other kind.
+  /// Adds to `limits` the bounds that comparisons with values from outside of
+  /// the loop give for loop indices. False if there is a condition of another
+  /// kind.
   bool limit(IndexLimits &limits) {
     return !isUnknown && llvm::all_of(zeros, [&](auto &zero) {
       return limit(limits, zero, /*most=*/0, /*least=*/true);
@@ -114,7 +119,8 @@ private:
     });
     if (std::abs(factor) != 1 || !isOfOutside)
       return false;
-    // factor * iv <= most - rest
+    // The comparison says factor * iv <= most - rest, where the factor is 1 or
+    // -1.
     IndexExpr bound(factor * most);
     bound.add(rest, -factor);
     IndexExpr next = bound;
@@ -289,7 +295,8 @@ Sharing mlir::tai::getSharing(DifferentiableAccessInterface access,
   SmallVector<IndexExpr> determined = indices;
   llvm::append_range(determined, conditions.getZeros());
 
-  // Indices of dimensions with one iteration need not be distinguished.
+  // Along a dimension with a single iteration, there are no iterations to
+  // distinguish.
   std::optional<LoopBox> box = getIndexBox(loop);
   if (box)
     conditions.narrow(*box);

@@ -55,7 +55,7 @@ static SetVector<Operation *> findLoadsBehindStores(KernelOp kernel) {
       loads.insert(op);
     addValues(op->getOperands());
     addParents(op);
-    // The result of a loop or a branch may come from any operation in it.
+    // The result of a loop or branch may depend on any operation within it.
     for (Region &region : op->getRegions())
       region.walk([&](Operation *inner) { slice.insert(inner); });
   }
@@ -185,7 +185,8 @@ public:
     bytes = bytes.drop_front(8);
     return value;
   }
-  /// The length of a list whose entries take at least eight bytes.
+  /// Reads the length of a list. Fails unless the rest of the bytes can hold
+  /// this many entries of at least eight bytes.
   int64_t length() {
     int64_t value = number();
     if (value < 0 || value > static_cast<int64_t>(bytes.size() / 8)) {

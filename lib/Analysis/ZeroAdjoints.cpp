@@ -27,13 +27,15 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The analysis of one loop over a sparse field.
+/// Analyses one loop of an adjoint over a sparse field: which fields must be
+/// zero in a cell so that its iteration can be skipped.
 class LoopAnalysis {
 public:
   LoopAnalysis(ParallelForOp loop, FieldLayout layout)
       : loop(loop), layout(std::move(layout)) {}
 
-  /// False if some effect of an iteration remains when the sources are zero.
+  /// Collects `sources`. False if an iteration has an effect even where all
+  /// sources are zero.
   bool run();
 
   SetVector<StringAttr> sources;
@@ -58,7 +60,8 @@ static bool isFloat(Type type) {
   return isa<FloatType>(getElementTypeOrSelf(type));
 }
 
-/// True for accesses to the cell that the iteration visits.
+/// True if an access to the field `name` at `indices` reaches the cell that the
+/// iteration visits.
 static bool isOwnAccess(ParallelForOp loop, const FieldLayout &layout,
                         Operation *op, FlatSymbolRefAttr name,
                         ValueRange indices) {
@@ -139,13 +142,13 @@ bool LoopAnalysis::staysZero(Value value) const {
          zeros.contains(inner.getBody()->getTerminator()->getOperand(number));
 }
 
-/// Whether an op has no effect if all values in `zeros` are zero.
+/// Whether `op` has no effect if all values in `zeros` are zero.
 bool LoopAnalysis::isHarmless(Operation *op) {
   if (auto atomic = dyn_cast<AtomicOp>(op)) {
     FieldLayout target =
         *getFieldLayout(lookupField(op, atomic.getFieldAttr()));
     sumsUp |= !target.path.getFirstSparse();
-    // An iteration must not change the source of another iteration.
+    // No iteration may change a source of another iteration.
     if (sources.contains(atomic.getFieldAttr().getAttr()) &&
         !isOwn(op, atomic.getFieldAttr(), atomic.getIndices()))
       return false;
@@ -157,7 +160,8 @@ bool LoopAnalysis::isHarmless(Operation *op) {
     return sources.contains(store.getFieldAttr().getAttr()) &&
            isOwn(op, store.getFieldAttr(), store.getIndices()) &&
            zeros.contains(store.getValue());
-  // Memory that belongs to the iteration disappears with it.
+  // Memory that belongs to the iteration alone is gone after it, so changes to
+  // it do not matter.
   if (isa<StackCreateOp, StackPushOp, StackPopOp, StackDestroyOp, LocalStoreOp>(
           op))
     return llvm::all_of(op->getOperands(), [&](Value operand) {
@@ -171,7 +175,8 @@ bool LoopAnalysis::isHarmless(Operation *op) {
 bool LoopAnalysis::run() {
   if (loop.getLevel())
     return false;
-  // Sources are adjoints of the own cell that the loop reads or stores.
+  // Start with the adjoints that the loop reads or stores in the cell that it
+  // visits: these are the possible sources.
   auto addSource = [&](Operation *op, FlatSymbolRefAttr name,
                        ValueRange indices) {
     if (isOwn(op, name, indices))
@@ -199,7 +204,8 @@ bool LoopAnalysis::run() {
     for (Region &region : op->getRegions())
       for (Block &block : region)
         llvm::for_each(block.getArguments(), consider);
-    // Zero constants defined outside the loop.
+    // Constants that are zero are not in the loop: collect them among the
+    // operands.
     for (Value operand : op->getOperands())
       if (matchPattern(operand, m_AnyZeroFloat()))
         zeros.insert(operand);
@@ -237,8 +243,9 @@ std::vector<LoopFlags> mlir::tai::findLoopFlags(KernelOp primal,
         entry.sources.push_back(source.str());
     flags.push_back(std::move(entry));
   });
-  // The form of the adjoint that sets adjoints of overwritten elements to zero
-  // does so for these elements, too.
+  // The zeroing form of the adjoint also zeroes adjoints of elements that the
+  // primal overwrites. Adjoints in the visited cell become sources of the loop;
+  // if there are others, the loop cannot be skipped.
   primal.walk([&](Operation *op) {
     auto loop = op->getParentOfType<ParallelForOp>();
     FlatSymbolRefAttr name = getNamedField(op);

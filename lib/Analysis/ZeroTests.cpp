@@ -25,7 +25,8 @@ Value mlir::tai::getGuarded(arith::SelectOp guard) {
   Value tested = getTestedForZero(guard);
   if (!tested)
     return {};
-  // All components of a matrix at once: a sum of absolute values.
+  // A test of all components of a matrix at once compares the sum of their
+  // absolute values with zero.
   if (auto sum = tested.getDefiningOp<SumOp>())
     if (auto abs = sum.getVector().getDefiningOp<math::AbsFOp>())
       return abs.getOperand();

@@ -15,10 +15,12 @@ using namespace mlir;
 using namespace mlir::tai;
 using Kind = IndexNode::Kind;
 
-/// Longer chains are unrolled sums, whose expressions have too many terms to be
+/// Limit of the depth to which a value is decomposed. Longer chains of
+/// operations are unrolled sums, whose expressions have too many terms to be
 /// useful.
 static constexpr unsigned kMostDepth = 16;
-/// Nested products would contain values exponentially often.
+/// Limit of the occurrences of values in an expression: in nested products,
+/// their number would grow exponentially.
 static constexpr unsigned kMostSize = 64;
 
 static unsigned getWidth(Type type) {
@@ -73,7 +75,9 @@ IndexRange IndexBuilder::getRange(const IndexAtom &atom) {
   IndexRange a = getRange(node->lhs), b = getRange(node->rhs);
   if (node->kind == Kind::Product)
     return multiplyRanges(a, b);
-  // Operations other than products read the low 64 bits of their operands.
+  // Operations other than products compute with the low 64 bits of their
+  // operands: if the range of an operand does not fit, use the whole range of
+  // 64 bits.
   constexpr IndexRange all{INT64_MIN, INT64_MAX};
   a = a.fits(64) ? a : all;
   b = b.fits(64) ? b : all;
@@ -87,7 +91,9 @@ IndexRange IndexBuilder::getRange(const IndexAtom &atom) {
   case Kind::Quotient:
   case Kind::TruncatedQuotient: {
     if (b.low <= 0) {
-      // The magnitude of a quotient is at most that of the dividend, or 1.
+      // The divisor is possibly not positive. The magnitude of a quotient is at
+      // most that of the dividend, or 1 where a quotient between -1 and 0 is
+      // rounded down.
       __int128 most = std::max({a.high, -a.low, static_cast<__int128>(1)});
       return {-most, most};
     }
@@ -107,7 +113,8 @@ IndexRange IndexBuilder::getRange(const IndexAtom &atom) {
     return range;
   }
   case Kind::TruncatedRemainder: {
-    // A remainder is defined only if the divisor is not zero.
+    // The divisor may be taken as non-zero: otherwise the remainder is
+    // undefined.
     __int128 most = std::max({b.high, -b.low, static_cast<__int128>(1)}) - 1;
     return {a.low < 0 ? std::max(a.low, -most) : 0,
             a.high > 0 ? std::min(a.high, most) : 0};
@@ -137,8 +144,8 @@ IndexBuilder::Parts IndexBuilder::takeMultiples(const IndexExpr &expr,
       parts.rest.add(IndexExpr(atom), factor);
   parts.multiple.constant = llvm::divideFloorSigned(expr.constant, divisor);
   parts.rest.constant = expr.constant - parts.multiple.constant * divisor;
-  // The sums must fit 64 bits: numbers with the same low bits have different
-  // quotients.
+  // Both sums must fit 64 bits: numbers with equal low bits but different high
+  // bits have different quotients.
   IndexRange rest = getRange(parts.rest);
   if (!rest.fits(64) || !getRange(expr).fits(64))
     return {IndexExpr(0), expr, false};
@@ -161,7 +168,8 @@ IndexExpr IndexBuilder::getQuotient(const IndexExpr &lhs,
   auto [multiple, rest, isDigit] = takeMultiples(lhs, rhs.constant);
   if (isDigit)
     return multiple;
-  // A quotient of a quotient divides by the product.
+  // Dividing a quotient by another divisor is a division by the product of the
+  // divisors.
   if (rest.terms.size() == 1 && rest.constant == 0 &&
       rest.terms.front().second == 1) {
     const IndexNode *node = rest.terms.front().first.getNode();
@@ -270,8 +278,8 @@ std::optional<IndexExpr> IndexBuilder::buildProduct(Operation *op,
     product.add(a, b.constant);
   } else {
     unsigned width = product.width;
-    // The factors are exact integers; only the low bits of the product are
-    // kept.
+    // The factors are exact integers. The width says that only the low bits of
+    // their product are kept.
     a.width = b.width = 64;
     product = IndexExpr(IndexNode{Kind::Product, std::move(a), std::move(b)});
     product.width = width;
@@ -295,7 +303,7 @@ std::optional<IndexExpr> IndexBuilder::buildCast(Operation *op,
     return std::nullopt;
   bool isUnsigned = isa<arith::IndexCastUIOp, arith::ExtUIOp>(op);
   if (getWidth(to) > getWidth(from.getType())) {
-    // Zero-extension changes the value of a negative number.
+    // Zero-extension of a negative number changes its value.
     if (isUnsigned && getSignedRange(from).low < 0)
       return std::nullopt;
     return build(from, depth);
@@ -303,7 +311,7 @@ std::optional<IndexExpr> IndexBuilder::buildCast(Operation *op,
   IndexExpr expr = build(from, depth);
   if (getWidth(to) == getWidth(from.getType()))
     return expr;
-  // A number that fits is not changed by dropping its high bits.
+  // Dropping high bits does not change a number that fits the remaining bits.
   if (getSignedRange(from).fits(getWidth(to)))
     return expr;
   expr.width = std::min(expr.width, getWidth(to));
@@ -321,12 +329,12 @@ std::optional<IndexExpr> IndexBuilder::buildDivision(Operation *op,
   if (b.isConstant() && b.constant == 0)
     return std::nullopt;
   IndexRange divisor = getSignedRange(rhs);
-  // Only the quotient of the least number by -1 wraps.
+  // A quotient overflows only if the least number is divided by -1.
   if (divisor.low <= -1 && divisor.high >= -1 &&
       !multiplyRanges(getSignedRange(lhs), {-1, -1})
            .fits(getWidth(lhs.getType())))
     return std::nullopt;
-  // Rounding towards zero rounds down if neither operand is negative.
+  // If neither operand is negative, rounding towards zero is rounding down.
   if (isFloor || (getSignedRange(lhs).low >= 0 && divisor.low >= 0))
     return isQuotient ? getQuotient(a, b) : getRemainder(a, b);
   if (isa<arith::DivUIOp, arith::RemUIOp>(op))
@@ -389,7 +397,7 @@ std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
     return *number < 0 ? all.add(low, -1) : low;
   }
   if (isa<arith::XOrIOp>(op)) {
-    // x ^ m is ~(x ^ ~m).
+    // For a negative mask m, use x ^ m = ~(x ^ ~m).
     int64_t mask = *number < 0 ? ~*number : *number;
     if (mask >= int64_t(1) << 62)
       return std::nullopt;
@@ -464,8 +472,8 @@ std::optional<IndexExpr> IndexBuilder::buildSelect(Operation *op,
                   (sum.getLhs() == rhs && sum.getRhs() == no)))
       return std::nullopt;
   } else if (auto div = no.getDefiningOp<arith::DivSIOp>()) {
-    // The alternative is the quotient minus one, written as a sum or a
-    // difference.
+    // For a quotient q, the other arm of the select must be q - 1, written as a
+    // sum or a difference.
     isQuotient = true;
     lhs = div.getLhs(), rhs = div.getRhs();
     APInt number;
@@ -489,7 +497,8 @@ std::optional<IndexExpr> IndexBuilder::buildSelect(Operation *op,
   IndexExpr a = buildExact(lhs, depth), b = buildExact(rhs, depth);
   if (b.isConstant() && b.constant == 0)
     return std::nullopt;
-  // The quotient of the least number by -1 is undefined.
+  // The quotient is exact: the overflow of the least number divided by -1 is
+  // undefined in the program.
   return isQuotient ? getQuotient(a, b) : getRemainder(a, b);
 }
 

@@ -4,10 +4,9 @@
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// Forms rest on assumptions, such as limits of launch values (kLargest). A
-// launch is refused only because of iterations in which these assumptions hold.
-//
+// Linear forms of index values rest on assumptions, such as a limit of launch
+// values (kLargest). A launch is refused only because of iterations in which
+// these assumptions hold.
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/Index/IndexForms.h"
@@ -22,17 +21,19 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// No storage is larger than this. 64-bit numbers that a launch passes are
-/// assumed to be smaller, so that sums of them do not overflow.
+/// No storage is larger than this number. A launch's 64-bit arguments are
+/// assumed to be smaller as well, so that sums of them do not overflow.
 static constexpr int64_t kLargest = int64_t(1) << 47;
-/// Factors are assumed to be no larger, so that products do not overflow.
+/// Launch values that are factors of a product are assumed to be no larger than
+/// this number, so that products do not overflow.
 static constexpr int64_t kLargestFactor = int64_t(1) << 31;
 
 //===----------------------------------------------------------------------===//
 // Ranges
 //===----------------------------------------------------------------------===//
 
-/// The range of a type; index has 64 bits, and an i1 is 0 or 1.
+/// The range of all values of `type`. An index has 64 bits; an i1 is 0 or 1,
+/// not -1.
 static NumberRange rangeOfType(Type type) {
   unsigned width = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
   if (width >= 64)
@@ -61,7 +62,8 @@ static NumberRange scaleRange(NumberRange a, int64_t factor) {
   return product;
 }
 
-/// The range of a / d, rounded down, or towards zero where both are equal.
+/// The range of the quotient a / d, rounded down. For rounding towards zero,
+/// only where both quotients are equal.
 static NumberRange divideRange(NumberRange a, int64_t d) {
   return {a.low == INT64_MIN ? INT64_MIN : llvm::divideFloorSigned(a.low, d),
           a.high == INT64_MAX ? INT64_MAX : llvm::divideFloorSigned(a.high, d)};
@@ -93,7 +95,7 @@ NumberRange IndexForms::rangeOf(Value value) {
   ConstantIntRanges range = ranges.get(value);
   if (range.smin().getBitWidth() > 64)
     return {};
-  // An i1 is 0 or 1, not 0 or -1.
+  // An i1 counts as unsigned: it is 0 or 1.
   if (type.isInteger(1))
     return {static_cast<int64_t>(range.umin().getZExtValue()),
             static_cast<int64_t>(range.umax().getZExtValue())};
@@ -130,7 +132,7 @@ bool IndexForms::isLaunchValue(Value value) {
     is = llvm::all_of(op->getOperands(),
                       [&](Value operand) { return isLaunchValue(operand); });
   }
-  // Expressions share operands: remember the answer for each value.
+  // Remember the answer for each value, because expressions share operands.
   return launchValues[value] = is;
 }
 
@@ -197,9 +199,9 @@ LinearSystem IndexForms::dropAssumptions(const LinearSystem &system,
     rest.require(row);
     isExact &= row.terms.size() == 1 || isComparison(row);
   }
-  // Without the assumptions, a multiple of a launch value may wrap around to an
-  // index in range, and a sum other than the index itself to a sum of the other
-  // sign.
+  // If a launch value is larger than assumed, a multiple of it may wrap around
+  // to an index in range, and a sum other than the index itself may wrap to the
+  // other sign: keep the assumptions in these cases.
   for (auto term : index.terms)
     if (getLaunchValue(term.first) && !isUnit(term))
       return system;
@@ -217,8 +219,8 @@ LinearForm LinearForm::plus(const LinearForm &other, int64_t scale) const {
 
 void IndexForms::assumeFits(LinearForm &form, Type type) const {
   NumberRange most = rangeOfType(type);
-  // Products are checked at their extremes: a product that wraps there is no
-  // valid index either.
+  // A product is checked in the first and the last iterations. If it wraps
+  // there, the program's index is not valid either.
   if (hasProduct(form.sum)) {
     form.isComplete = false;
     return;
@@ -243,7 +245,8 @@ LinearForm IndexForms::makeLoopForm(BlockArgument argument) {
   return formOf(loop.getLowerBound()).plus(steps, *step);
 }
 
-/// Forms of sums, differences, multiples, and casts.
+/// Makes the linear form of a sum, difference, multiple or cast; none for other
+/// operations.
 std::optional<LinearForm> IndexForms::makeLinear(Operation *op) {
   LinearForm form;
   if (auto add = dyn_cast<arith::AddIOp>(op)) {
@@ -262,7 +265,8 @@ std::optional<LinearForm> IndexForms::makeLinear(Operation *op) {
     form = formOf(op->getOperand(0));
   } else if (isa<arith::ExtUIOp, arith::IndexCastUIOp>(op)) {
     form = formOf(op->getOperand(0));
-    // Zero-extension changes the value of a negative number.
+    // Zero-extension of a negative number changes its value: assume that the
+    // number is not negative.
     if (rangeOf(op->getOperand(0)).low < 0) {
       form.facts.push_back(form.sum);
       form.isComplete = false;
@@ -274,7 +278,8 @@ std::optional<LinearForm> IndexForms::makeLinear(Operation *op) {
   return form;
 }
 
-/// Forms of quotient and remainder by a constant: d q <= a <= d q + d - 1.
+/// Makes the linear form of a quotient or remainder by a constant d > 0: the
+/// quotient q is a new variable with d q <= a <= d q + d - 1.
 std::optional<LinearForm> IndexForms::makeQuotient(Operation *op) {
   bool isFloor = isa<arith::FloorDivSIOp>(op);
   bool isDivision = isFloor || isa<arith::DivSIOp, arith::DivUIOp>(op);
@@ -284,7 +289,8 @@ std::optional<LinearForm> IndexForms::makeQuotient(Operation *op) {
   if (d <= 0 || (!isFloor && rangeOf(op->getOperand(0)).low < 0))
     return std::nullopt;
   LinearForm dividend = formOf(op->getOperand(0));
-  // A product may be meant to wrap, as in a hash.
+  // Not for a dividend that contains a product, because the program may intend
+  // that to wrap, as in a hash.
   if (hasProduct(dividend.sum))
     return std::nullopt;
   LinearForm quotient =
@@ -354,7 +360,8 @@ LinearForm IndexForms::makeForm(Value value) {
   return makeVariable(Kind::Data, range);
 }
 
-// Returns a copy, since a later query may reallocate the table.
+// Returns a copy of the table's entry, since a later query may reallocate the
+// table.
 LinearForm IndexForms::formOf(Value value) {
   if (auto known = forms.find(value); known != forms.end())
     return known->second;
@@ -393,7 +400,8 @@ static NumberRange multiplyRanges(NumberRange a, NumberRange b) {
   return range;
 }
 
-/// The form of a sum of launch values times a sum with loop indices.
+/// Makes the linear form of a product of a sum of launch values and a sum with
+/// loop indices; none for other products.
 std::optional<LinearForm> IndexForms::makeProduct(Operation *op) {
   LinearForm a = formOf(op->getOperand(0)), b = formOf(op->getOperand(1));
   if (!isOfLaunch(a.sum))

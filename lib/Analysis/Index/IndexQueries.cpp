@@ -20,7 +20,7 @@ using namespace mlir::tai;
 // Differences
 //===----------------------------------------------------------------------===//
 
-/// Ranges with a larger magnitude count as unbounded.
+/// A range that reaches beyond this magnitude counts as unbounded.
 static constexpr __int128 kFar = static_cast<__int128>(1) << 120;
 
 void IndexDifference::addConstant(__int128 value) {
@@ -53,14 +53,15 @@ bool IndexDifference::canBeZero(unsigned width) const {
   __int128 modulus = static_cast<__int128>(1) << width;
   if (unknowns == 0)
     return constant % modulus == 0;
-  // Modulo a power of two, multiples of the divisor are all multiples of the
-  // largest power of two that divides it.
+  // Modulo 2^width, all multiples of `divisor` are multiples of the largest
+  // power of two that divides it, so `constant` must be a multiple of this
+  // power too.
   unsigned twos = std::min<unsigned>(llvm::countr_zero(divisor), width);
   if (constant % (static_cast<__int128>(1) << twos) != 0)
     return false;
-  // If the range is small enough, zero is the only multiple of the modulus in
-  // it. A single unknown times an odd factor is a multiple only if the unknown
-  // is one.
+  // If the sum has a small range, zero is the only multiple of the modulus in
+  // the range. A single unknown times an odd factor is such a multiple only if
+  // the unknown itself is.
   __int128 most = modulus;
   if (unknowns == 1 && constant == 0)
     most *= static_cast<__int128>(divisor >> twos);
@@ -106,7 +107,8 @@ bool IterationEquations::solve(ValueRange values) {
   size_t steps;
   do {
     steps = equations.size() + solutions.size();
-    // solveOne and joinDigits append equations.
+    // The loop bounds are read anew in each turn, because solveOne and
+    // joinDigits append equations.
     for (size_t i = 0; i != equations.size(); ++i)
       solveOne(equations[i].first, equations[i].second);
     joinDigits();
@@ -135,7 +137,7 @@ bool IterationEquations::isSame(IndexExpr first, IndexExpr second) const {
          first.constant == second.constant;
 }
 
-/// Removes the terms that are equal in both sums.
+/// Removes from both sums the terms that both sums have.
 void IterationEquations::cancel(IndexExpr &first, IndexExpr &second) const {
   llvm::erase_if(first.terms, [&](const auto &term) {
     auto *at = llvm::find_if(second.terms, [&](const auto &other) {
@@ -148,8 +150,9 @@ void IterationEquations::cancel(IndexExpr &first, IndexExpr &second) const {
   });
 }
 
-/// Solves an equation with one unknown on each side. The parameters are copies,
-/// because solutions add equations.
+/// Solves the equation first == second if each side has one unknown: adds that
+/// the unknowns are equal. The parameters are copies, because solutions add
+/// equations to the list.
 void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
   cancel(first, second);
   if (first.terms.size() > 1 && second.terms.size() > 1)
@@ -162,8 +165,8 @@ void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
   const IndexAtom &b = second.terms.front().first;
   unsigned width = std::min(first.width, second.width);
   if (width != 64 || std::abs(factor) != 1) {
-    // Solve only if no difference of the unknowns other than zero yields equal
-    // low bits.
+    // Give up if the unknowns can differ although the low bits of the two sides
+    // are equal.
     IndexRange lhs = builder.getRange(a), rhs = builder.getRange(b);
     __int128 most = std::max(lhs.high - rhs.low, rhs.high - lhs.low);
     auto iv = dyn_cast_if_present<BlockArgument>(a.getValue());
@@ -181,7 +184,7 @@ void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
     add(a.getValue(), b.getValue());
 }
 
-/// The least value of the sum of the terms of `expr` that are no multiples of
+/// The least value of the sum of those terms of `expr` that are no multiples of
 /// `base`.
 static __int128 getLeastBelow(IndexBuilder &builder, const IndexExpr &expr,
                               int64_t base) {
@@ -197,7 +200,7 @@ static __int128 getLeastBelow(IndexBuilder &builder, const IndexExpr &expr,
 void IterationEquations::splitDigits(IndexExpr first, IndexExpr second) {
   unsigned width = std::min(first.width, second.width);
   IndexRange a = builder.getRange(first), b = builder.getRange(second);
-  // The sums themselves must be equal, not only their low bits.
+  // The sums must be equal as integers, not only in their low bits.
   __int128 most = std::max(a.high - b.low, b.high - a.low);
   if (most >= static_cast<__int128>(1) << width ||
       llvm::SubOverflow(first.constant, second.constant, first.constant))
@@ -228,7 +231,8 @@ void IterationEquations::splitDigits(IndexExpr first, IndexExpr second) {
   }
 }
 
-/// Equal quotients and remainders of a division imply equal dividends.
+/// If quotients and remainders of two divisions by one divisor are equal, the
+/// dividends are equal: adds these equations.
 void IterationEquations::joinDigits() {
   for (const auto &[first, second] : solutions) {
     const IndexNode *a = first.getNode(), *b = second.getNode();

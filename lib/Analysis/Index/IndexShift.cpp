@@ -21,13 +21,14 @@ using namespace mlir::tai;
 /// pieces: for longer loops the pass would take more than a millisecond.
 static constexpr int64_t kMaxEvaluations = 1 << 16;
 
-/// No loop over a field has larger bounds.
+/// Limit of the bounds of loops: no loop over a field has larger bounds.
 static constexpr int64_t kFarthest = int64_t(1) << 48;
 
-/// Even a stencil with its borders has fewer pieces.
+/// Limit of the linear pieces of an index: even a stencil with its borders has
+/// fewer.
 static constexpr unsigned kMaxPieces = 32;
 
-/// Width of the integers of `type`; index counts as 64 bits.
+/// The number of bits of the integers of `type`; 64 for index.
 static unsigned getWidth(Type type) {
   return type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
 }
@@ -82,7 +83,8 @@ static std::optional<int64_t> inferResult(Operation *op,
   return result ? std::optional(result->getSExtValue()) : std::nullopt;
 }
 
-/// Like inferResult, but fast for the operations that occur in most indices.
+/// Like inferResult, but faster, for the operations that occur in most indices;
+/// none for other operations.
 static std::optional<int64_t> evaluateOp(Operation *op,
                                          ArrayRef<int64_t> operands) {
   Type type = op->getResult(0).getType();
@@ -123,9 +125,9 @@ static std::optional<int64_t> evaluateOp(Operation *op,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The values of an operation as slope * i + offset, from the iteration `first`
-/// of a LineEvaluator up to its `end`, which shrinks until this holds for all
-/// operations.
+/// The values of one operation in consecutive iterations i, as slope * i +
+/// offset. The line holds from the iteration `first` of a LineEvaluator to its
+/// `end`, which shrinks until the lines of all operations hold.
 struct Line {
   int64_t slope = 0, offset = 0;
 
@@ -153,10 +155,11 @@ private:
     return make(Wide(a.slope) + Wide(factor) * b.slope,
                 Wide(a.offset) + Wide(factor) * b.offset, width);
   }
-  /// Ends the range where the line leaves [low, high], which contains its first
-  /// value.
+  /// Moves the end of the range to where the line leaves [low, high]. The first
+  /// value of the line must be in [low, high].
   void keepWithin(Wide slope, Wide offset, Wide low, Wide high);
-  /// The sign of a - b; ends the range where the sign changes.
+  /// Returns the sign of a - b in the first iteration, and moves the end of the
+  /// range to where the sign changes.
   int getOrder(const Line &a, const Line &b);
   bool isNegative(const Line &line) { return getOrder(line, Line{0, -1}) <= 0; }
   std::optional<bool> compare(arith::CmpIPredicate predicate, const Line &a,
@@ -174,14 +177,17 @@ private:
 void LineEvaluator::keepWithin(Wide slope, Wide offset, Wide low, Wide high) {
   if (slope == 0)
     return;
-  // `here` is in [low, high], so each numerator has the sign of its divisor.
+  // `here` is in [low, high], so dividend and divisor of these quotients have
+  // the same sign.
   Wide here = slope * first + offset;
   Wide steps = slope > 0 ? (high - here) / slope : (here - low) / -slope;
   if (steps < Wide(end) - first - 1)
     end = static_cast<int64_t>(first + steps + 1);
 }
 
-/// The line in arithmetic of `width` bits; ends the range where it would wrap.
+/// Makes a line of integers of `width` bits: wraps its first value into the
+/// range of the type, and moves the end of the range of iterations to where the
+/// line would leave that range.
 std::optional<Line> LineEvaluator::make(Wide slope, Wide offset,
                                         unsigned width) {
   Wide low = -(Wide(1) << (width - 1)), high = -low - 1;
@@ -233,7 +239,7 @@ std::optional<bool> LineEvaluator::compare(arith::CmpIPredicate predicate,
   default:
     break;
   }
-  // Compared without a sign, negative numbers are larger than all others.
+  // In an unsigned comparison, negative numbers are greater than all others.
   bool isNegativeA = isNegative(a), isNegativeB = isNegative(b);
   if (isNegativeA != isNegativeB)
     order = isNegativeA ? 1 : -1;
@@ -257,7 +263,7 @@ LineEvaluator::divide(const Line &a, const Line &b, bool roundsDown) {
     return std::nullopt;
   Wide divisor = b.offset;
   bool isBelow = isNegative(a);
-  // Rounding towards zero rounds negative numbers up.
+  // A quotient rounded towards zero is rounded up if it is negative.
   Wide shift = isBelow && !roundsDown ? divisor - 1 : 0;
   auto floorDiv = [](Wide x, Wide y) {
     return x / y - (x % y != 0 && x < 0 ? 1 : 0);
@@ -292,7 +298,7 @@ std::optional<Line> LineEvaluator::evaluate(Operation *op,
   }
   const Line &a = operands.front(), &b = operands.back();
   using Result = std::optional<Line>;
-  // For numbers that are not negative, signed and unsigned operations agree.
+  // Unsigned operations agree with signed operations if no operand is negative.
   auto divideUnsigned = [&](bool wantsRest) -> Result {
     if (isNegative(a))
       return std::nullopt;
@@ -375,7 +381,7 @@ public:
     return values[result];
   }
 
-  /// The pieces of [lower, upper) on which the expression is linear.
+  /// Divides [lower, upper) into the pieces on which the expression is linear.
   std::optional<SmallVector<IndexPiece>> getPieces(int64_t lower,
                                                    int64_t upper) {
     SmallVector<IndexPiece> pieces;
@@ -400,8 +406,8 @@ public:
       Line line = lines[result];
       int64_t end = evaluator.getEnd();
       IndexPiece *last = pieces.empty() ? nullptr : &pieces.back();
-      // A piece of one iteration fits any slope: take the slope of the next
-      // piece.
+      // If the last piece has only one iteration, any slope fits it: give it
+      // the slope of the next piece.
       if (last && last->upper - last->lower == 1 &&
           line.at(last->lower) == last->at(last->lower))
         last->slope = line.slope, last->offset = line.offset;
@@ -482,7 +488,8 @@ std::optional<ConstantStretch> tai::getConstantStretch(Value condition,
     return std::nullopt;
   int64_t low = lower + (upper - lower) / 2, high = low + 1;
   if (auto pieces = program.getPieces(lower, upper)) {
-    // Adjacent pieces have different values.
+    // The condition has different values in adjacent pieces, so the piece that
+    // contains `low` is the whole stretch.
     for (const IndexPiece &piece : *pieces)
       if (piece.lower <= low && low < piece.upper)
         return ConstantStretch{piece.lower, piece.upper, piece.offset != 0};
@@ -499,8 +506,9 @@ std::optional<ConstantStretch> tai::getConstantStretch(Value condition,
   return ConstantStretch{low, high, *answer != 0};
 }
 
-/// The same pieces for an expression that `LineEvaluator` does not support, by
-/// evaluating the expression for each value.
+/// Finds the pieces on which an expression is the variable plus a constant, by
+/// evaluating it for each value of the variable. For expressions that
+/// `LineEvaluator` does not support; none if there are more than two pieces.
 static std::optional<SmallVector<IndexPiece>>
 evaluateEach(IndexProgram &program, int64_t lower, int64_t upper) {
   if (upper - lower > kMaxEvaluations)
@@ -543,13 +551,14 @@ std::optional<IndexShift> tai::getIndexShift(Value index, Value variable,
   IndexShift shift{pieces->front().offset, pieces->size() == 2};
   if (!shift.wraps)
     return shift;
-  // The only break allowed: the index wraps at the end of the range.
+  // The index may have one break only, where it wraps around at the end of the
+  // range.
   const IndexPiece &rest = pieces->back();
   if (rest.offset != shift.offset - length || shift.offset < 0 ||
       rest.lower + shift.offset < upper)
     return std::nullopt;
-  // The first index must still be in the range. A shift by more than half of
-  // the length is a smaller shift in the other direction.
+  // The first index must not wrap. A wrapping shift by more than half of the
+  // range's length is a smaller shift in the other direction.
   if (lower + shift.offset >= upper)
     return std::nullopt;
   if (2 * shift.offset > length)

@@ -12,7 +12,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Longer chains of operations are not worth following.
+/// Limit of the depth to which chains of operations are followed.
 static constexpr unsigned kMostDepth = 64;
 
 static ConstantIntRanges getWhole(Value value) {
@@ -38,7 +38,8 @@ std::optional<ConstantIntRanges>
 IntegerRanges::getLoopIndex(BlockArgument argument, unsigned depth) {
   Operation *parent = argument.getOwner()->getParentOp();
   if (auto loop = dyn_cast_or_null<scf::ForOp>(parent)) {
-    // The index is less than the upper bound, also with steps larger than one.
+    // The loop index is less than the upper bound, also if the step is larger
+    // than one.
     if (argument != loop.getInductionVar())
       return std::nullopt;
     return getBetween(get(loop.getLowerBound(), depth),
@@ -93,8 +94,8 @@ ConstantIntRanges IntegerRanges::get(Value value, unsigned depth) {
   auto at = known.find(value);
   if (at != known.end())
     return at->second;
-  // A value may depend on itself through a loop: assume the whole range
-  // meanwhile.
+  // The value may depend on itself through a loop: until its range is computed,
+  // it counts as unbounded.
   known.insert({value, getWhole(value)});
   ConstantIntRanges range = compute(value, depth);
   known.find(value)->second = range;

@@ -84,7 +84,8 @@ void LinearSystem::require(LinearSum sum) {
       row.constant = std::min(row.constant, sum.constant);
       return;
     }
-    // a + c >= 0 and -a + d >= 0 imply c + d >= 0.
+    // Opposite rows a + c >= 0 and -a + d >= 0 imply c + d >= 0: if that is
+    // false, the system is contradictory.
     LinearSum both = row.plus(sum);
     contradictory |=
         !both.hasOverflow && both.terms.empty() && both.constant < 0;

@@ -151,7 +151,8 @@ bool tai::updatesSameComponent(AtomicOp a, AtomicOp b) {
 }
 
 bool tai::isInjective(ParallelForOp loop, ValueRange indices) {
-  // Indices of dimensions with one iteration need not be distinguished.
+  // Along a dimension with a single iteration, there are no iterations to
+  // distinguish.
   SmallVector<Value> ivs;
   for (auto [i, iv] : llvm::enumerate(loop.getInductionVars())) {
     std::optional<int64_t> lower, upper;
@@ -175,7 +176,8 @@ double tai::estimateRuns(Operation *op, ParallelForOp loop) {
 
 double tai::estimateIteration(ParallelForOp loop, bool isIndependent) {
   double cost = estimateNanoseconds(loop.getBody().front());
-  // Half the number of lanes: gathers and remainders cost the other half.
+  // Assumed gain of vectorisation: half the number of lanes, because gathers
+  // and remainders cost the other half.
   constexpr double speedup = 4;
   WalkResult innerLoops = loop.getBody().walk(
       [](LoopLikeOpInterface) { return WalkResult::interrupt(); });

@@ -51,8 +51,9 @@ Operation *tai::findDivergence(ParallelForOp loop, OpPredicate isAddition) {
          at = at->getParentOp()) {
       bool isTogether = false;
       if (auto branch = dyn_cast<scf::IfOp>(at)) {
-        // Additions can be moved out of the branch, unless they are in a loop
-        // inside it.
+        // The addition can be moved out of the branch, unless it is in a loop
+        // within the branch: then the condition must be the same in all
+        // iterations.
         isTogether = !isRepeated || isUniform(loop, branch.getCondition());
       } else if (auto serial = dyn_cast<scf::ForOp>(at)) {
         isTogether = isUniform(loop, serial.getLowerBound()) &&
@@ -75,14 +76,14 @@ Operation *tai::findDivergence(ParallelForOp loop, OpPredicate isAddition) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The accesses of a loop to one field or array.
+/// The accesses of a loop to one field or array, by kind.
 struct PlaceAccesses {
   struct Access {
     Operation *op;
     SmallVector<Value> indices;
     bool isSparse;
   };
-  /// Atomic updates without a used result, plain writes, and reads.
+  /// updates: atomic updates whose result is unused. writes: plain writes.
   SmallVector<Access> updates, writes, reads;
 };
 
@@ -106,7 +107,8 @@ private:
   ParallelForOp loop;
   FieldTable &fields;
   const ReductionPlan &plan;
-  /// Whether iterations may allocate memory, and add 16-bit floats.
+  /// True for canAddInAnyOrder: iterations may then also allocate memory and
+  /// add 16-bit floats.
   bool inAnyOrder = false;
   llvm::MapVector<const void *, PlaceAccesses> places;
   llvm::DenseSet<Operation *> additions;
@@ -160,7 +162,7 @@ bool Checker::visitArray(Operation *op) {
   Value array = load    ? load.getMemRef()
                 : store ? store.getMemRef()
                         : atomic.getMemref();
-  // The array belongs to one iteration.
+  // An array that is allocated in the loop belongs to one iteration.
   if (!loop.isDefinedOutsideOfLoop(array))
     return true;
   PlaceAccesses &place = places[array.getAsOpaquePointer()];
@@ -187,7 +189,8 @@ bool Checker::visitArray(Operation *op) {
   return add(place.updates, atomic.getIndices());
 }
 
-/// False for operations that may affect other iterations, or are unknown.
+/// Returns false for operations that are unknown or may affect other
+/// iterations.
 bool Checker::visit(Operation *op) {
   if (auto access = dyn_cast<FieldAccessOpInterface>(op);
       access && access.isElementAccess())
@@ -213,8 +216,8 @@ bool Checker::visit(Operation *op) {
   return op->getNumRegions() == 0 && isMemoryEffectFree(op);
 }
 
-/// False if an index that is the same in all iterations differs between `a` and
-/// `b`.
+/// True unless `a` and `b` differ at a position where both have an index from
+/// outside of the loop.
 bool Checker::mayReach(ValueRange a, ValueRange b) {
   for (auto [x, y] : llvm::zip_equal(a, b))
     if (loop.isDefinedOutsideOfLoop(x) && loop.isDefinedOutsideOfLoop(y) &&
@@ -277,12 +280,13 @@ bool tai::canOrderAdditions(ParallelForOp loop, FieldTable &fields,
   return Checker(loop, fields, plan).run();
 }
 
-/// True if an iteration does not read elements of the place after writing them.
+/// True if no iteration reads elements of the field or array `place` after it
+/// has written some of them.
 bool Checker::readsComeFirst(const PlaceAccesses &place) {
   return llvm::all_of(place.writes, [&](const auto &write) {
     return llvm::all_of(place.reads, [&](const auto &read) {
-      // No inner loop may contain both: its next iteration could read the
-      // element that this iteration has written.
+      // A write and a read in the same inner loop count as a read after the
+      // write: the next turn of that loop could read the written element.
       for (Operation *at = write.op->getParentOp(); at != loop;
            at = at->getParentOp())
         if (!isa<scf::IfOp>(at) && at->isProperAncestor(read.op))
@@ -295,7 +299,8 @@ bool Checker::readsComeFirst(const PlaceAccesses &place) {
         return false;
       before = common->findAncestorOpInBlock(*before);
       after = common->findAncestorOpInBlock(*after);
-      // Accesses in both arms of a branch count as if either could come first.
+      // Accesses in different arms of a branch count as if either could come
+      // first.
       return before != after && before->isBeforeInBlock(after);
     });
   });
@@ -306,8 +311,8 @@ bool Checker::runInAnyOrder(SmallVectorImpl<AtomicOp> &found) {
   if (!areFree())
     return false;
   WalkResult result = loop.getBody().walk([&](Operation *op) {
-    // Repeated passes would write variables that outlive the iteration several
-    // times.
+    // Three passes over the iterations would write a variable that outlives the
+    // iteration several times.
     Value local;
     if (auto store = dyn_cast<LocalStoreOp>(op))
       local = store.getLocal();
@@ -343,7 +348,7 @@ bool tai::canAddInAnyOrder(ParallelForOp loop, FieldTable &fields,
   return Checker(loop, fields, plan).runInAnyOrder(additions);
 }
 
-/// The constant components of an element that an update names.
+/// The constant component indices that an atomic update has, if any.
 static ValueRange getComponentsOf(Operation *op) {
   auto atomic = dyn_cast<AtomicOp>(op);
   return atomic ? ValueRange(atomic.getComponents()) : ValueRange();

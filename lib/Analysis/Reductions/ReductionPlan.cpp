@@ -29,14 +29,15 @@ using namespace mlir::tai;
 /// that the rounding error of a sum in the type itself is small, and enough to
 /// amortise the horizontal addition of vector lanes.
 constexpr int64_t kBlock = 2048;
-/// The length of a block where WidenSums keeps the sums in f64, because all
-/// updates are in the innermost loop itself.
+/// The number of iterations in a block if the pass WidenSums keeps its sums in
+/// f64: that is possible if all updates are directly in the innermost loop.
 constexpr int64_t kWidenedBlock = 8192;
-/// The length of a block whose terms, for pairs, are stored and fit the L1
-/// cache.
+/// The number of iterations in a block of a sum of pairs (sum and rounding
+/// error). The terms of a block are stored, and must fit the L1 cache.
 constexpr int64_t kBlockOfTerms = 1024;
-/// A loop with fewer iterations than this, or with more updates in an
-/// iteration, adds the terms of a compensated sum of f64 one after another.
+/// With fewer iterations than kFewIterations, or with more updates in an
+/// iteration than kMostUpdates, a loop adds the terms of a compensated f64 sum
+/// one after another.
 constexpr int64_t kFewIterations = 64;
 constexpr size_t kMostUpdates = 4;
 
@@ -61,10 +62,10 @@ constexpr int64_t kMaxWarpSums = 1024;
 /// with many cores.
 constexpr int64_t kMaxPrivateElements = int64_t(1) << 24;
 
-/// Measured costs in deterministic mode on a GPU: of an iteration, if one warp
-/// runs the loop; of the three passes over the iterations that fixed point
-/// takes instead; and of each byte of their accumulators. Also the maximum size
-/// of accumulators.
+/// Measured costs on a GPU in deterministic mode: of an iteration, if one warp
+/// runs the loop; of the three passes over the iterations that sums in fixed
+/// point take instead; and of each byte of their accumulators. Also the maximum
+/// size of all accumulators of a field.
 constexpr double kWarpNanoseconds = 80, kPassesNanoseconds = 10000;
 constexpr double kNanosecondsPerByte = 1e-3;
 constexpr double kMaxAccumulatorBytes = int64_t(1) << 29;
@@ -74,7 +75,7 @@ constexpr double kMaxAccumulatorBytes = int64_t(1) << 29;
 constexpr int64_t kMaxLocalSums = 16;
 
 namespace {
-/// The accesses of a loop to one field.
+/// The accesses of a loop to one field, by kind.
 struct FieldAccesses {
   SmallVector<AtomicOp> atomics; // those that are not exclusive yet
   SmallVector<Operation *> others;
@@ -96,12 +97,14 @@ public:
 
 private:
   bool isDeterministic() const { return plan.order.has_value(); }
-  /// Whether sums must have the same order for all targets.
+  /// Whether the terms of sums must be added in an order that is the same on
+  /// all targets.
   bool hasOneOrder() const { return plan.order == LoopOrder::Common; }
   ReductionForm getForm(Operation *op) const {
     return plan.updates.lookup(op).reduction.getForm();
   }
-  /// Chooses the form; chooseDigits completes the choice.
+  /// Sets the form of an update's reduction. chooseDigits later adds its digits
+  /// and order.
   void setForm(Operation *op, ReductionForm form,
                std::optional<int64_t> buffer = std::nullopt) {
     plan.updates[op].reduction =
@@ -127,7 +130,7 @@ private:
   ParallelForOp loop;
   FieldTable &fields;
   bool compensated, onDevice;
-  /// The groups of updates in buffers, by the number of the buffer.
+  /// For each buffer, by its number: the group of updates that it accumulates.
   SmallVector<AccumulationGroup> buffers;
   ReductionPlan plan;
 };
@@ -225,8 +228,8 @@ bool Planner::isWorthPrivate(const AccumulationGroup &group) {
   int64_t elements = slice->numCells * field.numComponents;
   if (elements > kMaxPrivateElements)
     return false;
-  // Sums of 16 bits would stop growing after some hundred additions: always use
-  // a buffer.
+  // A sum of 16 bits would stop growing after some hundred additions, so it
+  // always has a wider buffer.
   if (isFloat && (compensated || is16Bits(field.scalarType)))
     return true;
   // If the number of iterations is unknown, decide at run time: a loop with few
@@ -247,9 +250,9 @@ static ValueRange getIndices(Operation *access) {
   return cast<FieldAccessOpInterface>(access).getIndices();
 }
 
-/// False if accesses at `a` and `b` reach different elements in any two
-/// iterations, because an index that is the same in all iterations, such as the
-/// time slot, distinguishes them.
+/// False if `a` and `b` differ at a position where both have an index that is
+/// the same in all iterations, such as the time slot: accesses at `a` and `b`
+/// then reach different elements in any two iterations.
 bool Planner::mayReach(ValueRange a, ValueRange b) {
   for (auto [x, y] : llvm::zip_equal(a, b))
     if (loop.isDefinedOutsideOfLoop(x) && loop.isDefinedOutsideOfLoop(y) &&
@@ -258,22 +261,25 @@ bool Planner::mayReach(ValueRange a, ValueRange b) {
   return true;
 }
 
-/// True for sums for which a GPU makes one atomic addition in each warp: with
-/// so few warps, this is faster than a reduction over a block.
+/// True if a GPU adds up the terms in each warp, and then makes one atomic
+/// addition for each warp: a loop with so few warps is then faster than with a
+/// reduction over blocks.
 bool Planner::isWarpSum(AtomicOp atomic) {
   std::optional<int64_t> iterations = getNumIterations(loop);
   if (isDeterministic() || compensated || !iterations ||
       *iterations > kMaxWarpSums || atomic.getKind() != AtomicKind::Add ||
       !atomic.getValue().getType().isF32())
     return false;
-  // In an inner loop, each of its iterations would make an atomic addition.
+  // The update must not be in an inner loop, where each iteration would make an
+  // atomic addition.
   Operation *around = atomic->getParentOp();
   while (isa<scf::IfOp>(around))
     around = around->getParentOp();
   return around == loop;
 }
 
-/// Whether host code may run the loop several times in a launch.
+/// Whether host code within the kernel may run the loop several times in one
+/// launch.
 static bool isRepeated(ParallelForOp loop) {
   for (Operation *at = loop->getParentOp(); !isa<FunctionOpInterface>(at);
        at = at->getParentOp())
@@ -297,7 +303,8 @@ bool Planner::isWorthWide(const AccumulationGroup &group) {
                  double(*iterations) * updates > double(kFewTerms) * elements;
   if (!compensated && !is16Bits(scalar) && !hasMany)
     return false;
-  // If host code repeats the loop, each run would need sums of its own.
+  // Not for a loop that host code repeats, because each of its runs would need
+  // sums of its own.
   return !isRepeated(loop) && elements * 16 <= kMaxAccumulatorBytes &&
          llvm::all_of(group.atomics,
                       [](AtomicOp atomic) { return isSum(atomic.getKind()); });
@@ -324,8 +331,8 @@ StringRef Planner::planField(FieldAccesses &accesses) {
       plan.updates[atomic].isExclusive = true;
     return "";
   }
-  // Iterations that read old values would miss the updates in registers or
-  // buffers.
+  // An iteration that reads an old value would miss updates that are still in
+  // registers or buffers.
   if (llvm::any_of(atomics, [](AtomicOp atomic) {
         return !atomic.getOld().use_empty();
       }))
@@ -377,8 +384,8 @@ StringRef Planner::planField(FieldAccesses &accesses) {
     AccumulationGroup merged = sums.front();
     for (const AccumulationGroup &group : ArrayRef(sums).drop_front())
       mergeGroups(merged, group);
-    // Compensated sums always have buffers of their own, so the part need not
-    // be contiguous.
+    // A compensated sum always has a buffer of its own, so its part of the
+    // field need not be contiguous.
     if (isWorthPrivate(merged) && (compensated || isContiguous(merged))) {
       inBuffers.push_back(std::move(merged));
       sums.clear();
@@ -407,7 +414,8 @@ bool Planner::hasWideSums() {
   });
 }
 
-/// Fails if a float sum would be rounded to its type at each addition.
+/// In mode sums="compensated", emits an error and fails if a float sum would be
+/// rounded to its own type at each addition.
 LogicalResult Planner::checkCompensated() {
   constexpr StringLiteral what =
       "sums=\"compensated\" cannot be had for this sum: ";
@@ -415,7 +423,8 @@ LogicalResult Planner::checkCompensated() {
     return success();
   for (auto &[op, update] : plan.updates) {
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
-      // On a device, blocks add up in f64, which is twice the digits of f32.
+      // On a GPU, blocks add up narrower sums in f64, which has twice the
+      // digits of f32.
       bool isWideTotal =
           isFloatTotal(op) && !atomic.getValue().getType().isF64();
       bool isWide = isWideTotal ||
@@ -446,8 +455,9 @@ LogicalResult Planner::checkCompensated() {
 bool Planner::canRunInWarp() {
   if (!hasOneOrder())
     return canOrderAdditions(loop, fields, plan);
-  // For the order that all targets share, one thread runs the loop on other
-  // targets: sums of all iterations must be added in turn as well.
+  // On other targets, one thread runs the loop if all targets must use the same
+  // order. To match, the warp must add the terms of sums over all iterations
+  // one after another, too.
   bool hasLocalSums = false;
   for (auto &[op, update] : plan.updates) {
     if (!isFloatTotal(op))
@@ -463,7 +473,8 @@ bool Planner::canRunInWarp() {
 /// Lets all threads of a GPU do the additions of a loop in fixed point: in
 /// three passes over the iterations, with accumulators that start at zero.
 bool Planner::useFixedPoint() {
-  // If host code repeats the loop, each run would zero accumulators.
+  // Not for a loop that host code repeats, because each of its runs would set
+  // the accumulators to zero.
   SmallVector<AtomicOp> additions;
   if (hasOneOrder() || compensated || isRepeated(loop) ||
       !canAddInAnyOrder(loop, fields, plan, additions))
@@ -472,8 +483,8 @@ bool Planner::useFixedPoint() {
       groupAccumulations(loop, additions, fields);
   if (failed(found))
     return false;
-  // Use one group for each storage: two groups could add to an element at the
-  // same time.
+  // Merge all groups of one storage: two groups could add to the same element
+  // at the same time.
   SmallVector<AccumulationGroup> groups;
   for (AccumulationGroup &group : *found) {
     auto *known = llvm::find_if(groups, [&](const AccumulationGroup &other) {
@@ -509,7 +520,8 @@ bool Planner::useFixedPoint() {
   return true;
 }
 
-/// The product of the constant extents of a loop; unknown extents count as 1.
+/// The number of iterations of `loop`, as far as its extents are constant;
+/// unknown extents count as 1.
 static double countIterations(ParallelForOp loop) {
   double count = 1;
   for (auto [from, to] :
@@ -522,20 +534,21 @@ static double countIterations(ParallelForOp loop) {
   return count;
 }
 
-/// Whether each update is directly in the body of the innermost loop that
-/// `loop` is lowered to, and so runs at most once in its iteration.
+/// True if each update is directly in the body of the innermost loop to which
+/// `loop` will be lowered, so that it runs at most once in an iteration.
 static bool areMadeOnce(ArrayRef<Operation *> updates, ParallelForOp loop) {
   for (Operation *update : updates)
     for (Operation *parent = update->getParentOp(); parent != loop;
          parent = parent->getParentOp())
-      // tai-split-index-sets moves an interior out of the loop.
+      // The branch is an interior that the pass tai-split-index-sets will move
+      // out of the loop.
       if (!isa<scf::IfOp>(parent) || parent->hasAttr("tai.interior"))
         return false;
   return true;
 }
 
-/// Whether the terms of these updates can be stored in a buffer, and are worth
-/// the memory.
+/// Whether the terms of `updates` can be stored in a buffer, and whether that
+/// is worth its memory.
 static bool canStoreTerms(ArrayRef<Operation *> updates, ParallelForOp loop) {
   if (updates.size() > kMostUpdates || loop.isStructFor() ||
       !areMadeOnce(updates, loop))
@@ -547,7 +560,8 @@ static bool canStoreTerms(ArrayRef<Operation *> updates, ParallelForOp loop) {
   return !lower || !upper || *upper - *lower >= kFewIterations;
 }
 
-/// The digits that Forms.def specifies for a precise sum or product.
+/// The digits of a precise sum or product of terms of `type`, by the table in
+/// Forms.def.
 static SumDigits getPreciseDigits(AtomicKind kind, Type type) {
   constexpr bool F64 = true, Narrow = false;
 #define TAI_PRECISE_TOTAL(rowKind, terms, digits, form)                        \
@@ -557,7 +571,7 @@ static SumDigits getPreciseDigits(AtomicKind kind, Type type) {
   return SumDigits::Own;
 }
 
-/// The digits of a sum of all iterations.
+/// The digits in which a sum over all iterations is kept.
 SumDigits Planner::getTotalDigits(Operation *update) {
   Type type = getTermType(update);
   AtomicKind kind = getCombiningKind(update);
@@ -567,7 +581,8 @@ SumDigits Planner::getTotalDigits(Operation *update) {
     return compensated ? getPreciseDigits(kind, type) : SumDigits::Own;
   if (kind != AtomicKind::Add)
     return SumDigits::Own;
-  // Each thread accumulates in f64; `digits` is about the sum of the blocks.
+  // On a GPU, each thread accumulates in f64 anyway; the digits decide how
+  // blocks combine their sums.
   if (isDeterministic() || type.isF64())
     return SumDigits::Own;
   std::optional<int64_t> count = getNumIterations(loop);
@@ -576,9 +591,12 @@ SumDigits Planner::getTotalDigits(Operation *update) {
                                                : SumDigits::Own;
 }
 
-/// Chooses digits and orders for the updates that the loop does itself.
+/// Chooses digits and order of the sums that the loop itself keeps (in
+/// registers or buffers).
 void Planner::chooseDigits() {
-  // In other loops, LLVM sees the same code whatever passes have left out.
+  // If the loop's cost is fixed and it has inner loops, sums keep the order of
+  // iterations: LLVM would choose another order after passes have left out
+  // work. In other loops, LLVM sees the same code in any case.
   bool keepsOrder = loop.getFixedCostAttr() &&
                     (loop.getOuterDims() ||
                      loop.walk([&](LoopLikeOpInterface inner) {
@@ -680,7 +698,7 @@ FailureOr<ReductionPlan> Planner::run() {
         plan.updates[atomic].reason = reason;
     }
 
-  // Sums in registers do not access memory in the loop.
+  // A sum that is kept in a register does not access memory in the loop.
   bool inMemory = false, dependsOnTiming = false;
   for (auto &[op, update] : plan.updates) {
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
@@ -713,7 +731,7 @@ FailureOr<ReductionPlan> Planner::run() {
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
   bool needsOrder = isDeterministic() && dependsOnTiming;
   if (needsOrder && onDevice && useFixedPoint()) {
-    // All threads run the loop.
+    // With sums in fixed point, all threads run the loop.
   } else if (needsOrder && onDevice && canRunInWarp()) {
     plan.inWarp = true;
   } else if (isSmall || needsOrder) {
@@ -751,7 +769,8 @@ void ReductionPlan::apply(ParallelForOp loop) const {
   if (!isSerial)
     return;
   loop.setSerialize(true);
-  // tai-split-index-sets would otherwise run the borders after the interior.
+  // Without its marks, tai-split-index-sets does not split the loop. It would
+  // run the borders after the interior, in another order.
   if (order == LoopOrder::Common)
     loop.walk([](scf::IfOp branch) { branch->removeAttr("tai.interior"); });
 }
