@@ -85,7 +85,8 @@ TaiError taiContextLastError(TaiContext context) {
 
 TaiStatus taiContextSynchronize(TaiContext context) {
   return call(*context, [&]() -> TaiStatus {
-    // Launches on the CPU have ended when they return.
+    // There is nothing to wait for on the CPU, where launches have ended when
+    // they return.
     return context->status(context->session.getRuntime().synchronize());
   });
 }
@@ -147,7 +148,7 @@ TaiStatus taiContextDestroyTree(TaiContext context, const char *name) {
   });
 }
 
-/// The sparse level of that number, or null after an error.
+/// The sparse level number `level` of the tree `name`; null after an error.
 static runtime::SparseNode *findLevel(TaiContext context, const char *name,
                                       int64_t level, TaiStatus &status,
                                       runtime::TreePtr *found = nullptr) {
@@ -334,7 +335,8 @@ TaiStatus taiFieldGetAddress(TaiField handle, const int64_t *indices,
     const runtime::Tree &tree = handle->field->tree();
     int64_t offset = 0;
     runtime::Status status = handle->field->locate(indices, 0, offset);
-    // Kernels use the address: with a device, it is an address of the device.
+    // Return the address that kernels use: with a device, an address in the
+    // memory of the device.
     if (status && tree.mirror())
       status =
           context.session.getRuntime().deviceAddress(tree, offset, *address);

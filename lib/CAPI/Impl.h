@@ -17,8 +17,8 @@
 #include <mutex>
 #include <unordered_map>
 
-/// Owned handles by address, for removal in constant time. Not a DenseMap,
-/// which is damaged when memory runs out as it grows.
+/// Owns handles, and finds one by its address in constant time. Not a DenseMap,
+/// which is damaged when memory runs out while it grows.
 template <typename Impl> class Handles {
 public:
   Impl *add(std::unique_ptr<Impl> handle) {
@@ -30,7 +30,8 @@ public:
     auto found = owned.find(handle);
     if (found == owned.end())
       return;
-    // Remove the handle from the map first: its destructor may remove others.
+    // Remove the handle from the map before it is destroyed: its destructor may
+    // remove other handles.
     std::unique_ptr<Impl> gone = std::move(found->second);
     owned.erase(found);
   }
@@ -61,7 +62,8 @@ struct TaiContextImpl {
   /// library's, valid until the next such call.
   std::vector<uint64_t> sizedRows;
 
-  /// The status of a call of the session.
+  /// The C status for the result of a call of the session, which keeps the
+  /// failure.
   TaiStatus status(llvm::LogicalResult result) {
     if (succeeded(result))
       return TAI_OK;
@@ -101,9 +103,9 @@ private:
   std::unique_lock<std::recursive_timed_mutex> lock;
 };
 
-/// For calls that several threads can make at once on the CPU. With a device,
-/// locks the context: a device has one queue, and a thread may wait for another
-/// thread's work.
+/// Locks the context only if there is a device. For calls that several threads
+/// can make at once on the CPU: a device has one queue, and a thread may wait
+/// for another thread's work.
 class DeviceLock {
 public:
   DeviceLock(TaiContextImpl &context,
@@ -148,7 +150,8 @@ void callQuietly(TaiContextImpl &context, const Body &body) noexcept {
   });
 }
 
-/// Runs `body` with a DeviceLock.
+/// Like callOr, but runs `body` with a DeviceLock instead of the context's
+/// lock.
 template <typename Body>
 TaiStatus callInParallel(TaiContextImpl &context,
                          const mlir::tai::runtime::Runtime &runtime,
@@ -170,9 +173,10 @@ struct TaiKernelImpl {
   TaiContextImpl &context;
   mlir::tai::SessionKernel *kernel;
   std::string text;
-  /// The program that owns the kernel, or null.
+  /// The program that the kernel belongs to, or null.
   TaiProgramImpl *program = nullptr;
-  /// Cached for launches: the runtime of `context`, the kernel of `kernel`.
+  /// Kept here so that a launch reads fewer pointers: the runtime of `context`,
+  /// and the runtime's kernel.
   mlir::tai::runtime::Runtime &runtime = context.session.getRuntime();
   mlir::tai::runtime::Kernel &launched = *kernel->kernel;
 };
@@ -180,9 +184,9 @@ struct TaiKernelImpl {
 struct TaiProgramImpl {
   TaiContextImpl &context;
   std::unique_ptr<mlir::tai::Program> program;
-  /// The handles of its kernels, by name.
+  /// The handles of the program's kernels, by name.
   llvm::StringMap<TaiKernel> kernels;
-  /// The names of each TaiSymbolKind.
+  /// For each TaiSymbolKind, the names of the program's symbols of that kind.
   std::array<std::vector<std::string>, 6> symbols;
 };
 

@@ -89,8 +89,8 @@ const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
 /// Compiles the kernel, without locking the context.
 static TaiStatus resolve(TaiKernelImpl &kernel) noexcept {
   try {
-    // After a success, the context's failures are not read: another thread's
-    // call may be noting one.
+    // If compilation succeeds, do not read failures that the context has noted:
+    // another thread's call may be noting one at the same time.
     runtime::Status status = kernel.launched.resolve();
     return status ? TAI_OK : kernel.context.status(status);
   } catch (...) {

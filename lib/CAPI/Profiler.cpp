@@ -33,7 +33,7 @@ TaiStatus taiProfilerTrace(TaiContext context, const TaiTraceEvent **events,
   return call(*context, [&]() -> TaiStatus {
     std::vector<runtime::TraceEvent> found =
         context->session.getRuntime().trace(*lost);
-    // An event comes before the events within it.
+    // Sort events by their start; an event comes before the events within it.
     llvm::sort(found,
                [](const runtime::TraceEvent &a, const runtime::TraceEvent &b) {
                  return std::make_pair(a.startNs, -a.durationNs) <

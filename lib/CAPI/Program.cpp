@@ -188,7 +188,7 @@ const char *taiProgramGetSymbol(TaiProgram program, TaiSymbolKind kind,
   return names[number].c_str();
 }
 
-/// "; there are @a, @b", for messages.
+/// A phrase that lists names, for messages: "; there are @a, @b".
 static std::string describeNames(ArrayRef<std::string> names) {
   if (names.empty())
     return "; there are none";
@@ -338,7 +338,7 @@ TaiStatus taiCheckGradient(TaiContext context, TaiField loss,
 }
 
 //===----------------------------------------------------------------------===//
-// Code compiled ahead of time
+// Functions compiled ahead of time
 //===----------------------------------------------------------------------===//
 
 TaiStatus taiContextRunFunction(TaiContext context, TaiFunction function,

@@ -30,7 +30,7 @@ static TaiStatus give(TaiContextImpl &context, const Row **rows, int64_t count,
                       size_t size) {
   if (size == sizeof(Row))
     return TAI_OK;
-  // The size must keep rows aligned for their members.
+  // The size of a row must be a multiple of the alignment of its members.
   if (size < alignof(Row) || size % alignof(Row))
     return context.usage("a row cannot have " + llvm::Twine(size) + " bytes");
   std::vector<uint64_t> &memory = context.sizedRows;
@@ -42,7 +42,8 @@ static TaiStatus give(TaiContextImpl &context, const Row **rows, int64_t count,
   return TAI_OK;
 }
 
-/// Runs a call that fills a struct, and copies its members to the caller's.
+/// Calls `get` to fill a struct of this library's version, and copies the
+/// members that the caller's version of the struct has.
 template <typename Struct, typename Call>
 static TaiStatus fill(Struct *to, size_t size, const Call &get) {
   Struct known = {};
@@ -52,7 +53,8 @@ static TaiStatus fill(Struct *to, size_t size, const Call &get) {
   return status;
 }
 
-/// Runs a call that gives rows, with the context locked until they are copied.
+/// Calls `get` for an array of rows, and copies the rows to the size that the
+/// caller knows. The context stays locked until they are copied.
 template <typename Row, typename Call>
 static TaiStatus fillRows(TaiContextImpl &context, const Row **rows,
                           int64_t *count, size_t size, const Call &get) {

@@ -32,7 +32,8 @@ template <> struct Format<double> {
   static constexpr unsigned fraction = 52, bias = 1023, window = 60;
 };
 
-/// |value| = significand * 2^(exponent - bias - fraction).
+/// The parts of a float: |value| = significand * 2^(exponent - bias -
+/// fraction).
 template <typename T> struct Parts {
   using Bits = typename Format<T>::Bits;
   static constexpr unsigned fraction = Format<T>::fraction;
@@ -55,7 +56,8 @@ template <typename T> struct Parts {
 };
 } // namespace
 
-// The sum of an element with infinite or NaN terms is a set of these bits.
+// If an element has infinite or NaN terms, its sum is a set of these bits
+// instead of a number.
 static constexpr uint64_t hasInfinity = 1, hasNegative = 2, hasNaN = 4;
 
 static constexpr unsigned limbBits = 30;
@@ -73,8 +75,8 @@ template <typename T> static void noteScale(uint32_t *scale, T value) {
     if (getLane() != 0)
       return;
   }
-  // If this load misses the store of another thread, an unnecessary maximum is
-  // taken.
+  // This load possibly misses the store of another thread; then an unnecessary
+  // atomic maximum follows.
   if (*scale < exponent)
     atomicMax(scale, exponent);
 }
@@ -83,7 +85,8 @@ template <typename T> static void noteScale(uint32_t *scale, T value) {
 // Sums
 //===----------------------------------------------------------------------===//
 
-/// The value in units of the scale, rounded to the nearest, without its sign.
+/// The magnitude of a float as an integer, in units that follow from `scale`,
+/// rounded to nearest.
 template <typename T>
 static uint64_t toUnits(const Parts<T> &parts, uint32_t scale) {
   constexpr unsigned room = Format<T>::window - Format<T>::fraction - 1;
@@ -127,7 +130,7 @@ static void addValue(const uint32_t *scale, uint64_t *sum, T value) {
   bool isTogether = isSameInWarp(reinterpret_cast<uint64_t>(scale));
   if (parts.significand == 0 && !isTogether)
     return;
-  // An element to which only zeros are added has no scale.
+  // If only zeros are added to an element, its scale is not set.
   uint32_t exponent = *scale;
   if (exponent != Parts<T>::special) {
     uint64_t units = parts.significand != 0 ? toUnits(parts, exponent) : 0;
@@ -190,7 +193,8 @@ static void round(uint64_t *sum, uint32_t scale, double *element) {
     return;
   int exponent = static_cast<int>(scale) - unit;
   if (upper != 0) {
-    // The lowest bit says whether bits were cut off, which decides ties.
+    // The lowest bit is set if bits were cut off, because they decide ties in
+    // rounding.
     int shift = 64 - __builtin_clzll(upper);
     uint64_t rest = shift < 64 ? lower << (64 - shift) : lower;
     lower = (shift < 64 ? lower >> shift : 0) |

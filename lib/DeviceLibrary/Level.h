@@ -52,14 +52,16 @@ struct Level {
     if (!atomicRead(&activity.isNew))
       atomicExchange(&activity.isNew, 1u);
   }
-  /// Marks a word of bits, or a length, as non-zero.
+  /// Sets the mark of word number `word` of the level's activity: the word may
+  /// be non-zero.
   void mark(int64_t word) const {
     uint64_t bit = uint64_t(1) << (word % 64);
     uint64_t *mark = node.marks + word / 64;
     if (!(atomicRead(mark) & bit))
       atomicOr(mark, bit);
   }
-  /// Reserves memory for `cells` cells. False if the limit is exceeded.
+  /// Counts the memory of `cells` further active cells. False if the limit is
+  /// exceeded.
   bool take(int64_t cells) const {
     if (!node.memoryMessage)
       return true;
@@ -136,7 +138,8 @@ struct Level {
     return known;
   }
 
-  /// The number of inactive cells that activate(cell) would activate.
+  /// The number of inactive cells that activate(cell) would activate: in a
+  /// list, the cells before it too.
   int64_t countNew(int64_t cell) const {
     if (!node.isList)
       return !(atomicRead(words() + cell / 64) >> (cell % 64) & 1);
@@ -170,8 +173,9 @@ struct Level {
     return added;
   }
 
-  /// Deactivates the cells [first, first + count), which are whole lists; this
-  /// thread does its share.
+  /// Deactivates the cells [first, first + count); of a list level, whole
+  /// lists. The work is divided: thread number `thread` of `threads` does its
+  /// share.
   void clear(int64_t first, int64_t count, int64_t thread = 0,
              int64_t threads = 1) const {
     if (node.isList) {
@@ -265,7 +269,7 @@ inline void zeroContents(const Level &level, int32_t number, int64_t first,
   }
 }
 
-/// Activates the ancestors of a cell of `level`.
+/// Activates the cells of the levels above that contain a cell of `level`.
 inline void activateAbove(const Level &level, int64_t cell) {
   const TaiDeviceNode *node = &level.node;
   while (node->parent >= 0) {

@@ -42,12 +42,14 @@ struct ListMaker {
   }
 
   int64_t *cells() const { return reinterpret_cast<int64_t *>(header + 1); }
-  /// Whether the list differs from the active cells.
+  /// Whether the list is out of date: the activity has changed since it was
+  /// computed.
   bool isOld() const {
     const TaiDeviceActivity &activity = *level.node.activity;
     return activity.isNew || header->version != activity.version;
   }
-  /// Called by one thread, after isOld() has returned on all threads.
+  /// Marks the list as up to date. To be called by one thread, after isOld()
+  /// has returned on all threads.
   void finish(int64_t count) const {
     TaiDeviceActivity &activity = *level.node.activity;
     if (activity.isNew) {
@@ -72,7 +74,8 @@ struct ListMaker {
     return level.node.isList ? level.lengths()[unit]
                              : __builtin_popcountll(level.words()[unit]);
   }
-  /// The active cell of a unit that follows `before` active cells of the unit.
+  /// The number of an active cell of `unit`: the cell that follows `before`
+  /// active cells of the unit.
   int64_t cellOf(int64_t unit, int64_t before) const {
     if (level.node.isList)
       return unit * level.node.capacity + before;
@@ -101,8 +104,9 @@ TAI_SHARED_VARIABLE static int64_t rows[2][tileUnits];
 namespace {
 class Sums {
 public:
-  /// Calls of(i) for each index of a tile. Returns the inclusive prefix sums,
-  /// which all threads of the block can read until they call `release`.
+  /// Computes of(i) for each index i of a tile, and returns the inclusive
+  /// prefix sums of these numbers, which all threads of the block can read
+  /// until they call `release`.
   template <typename Of> const int64_t *make(const Of &of) {
     int64_t thread = threadId(), threads = numThreads();
 #ifndef __NVPTX__
@@ -208,7 +212,7 @@ void tai_dev_list_scan(uint64_t tree, uint64_t node, uint64_t list,
   if (!isOld)
     return;
   auto *counts = reinterpret_cast<int64_t *>(tileSums);
-  // Each thread takes consecutive tiles.
+  // Divide the tiles so that each thread sums over consecutive tiles.
   int64_t threads = numThreads();
   int64_t some = (maker.tiles + threads - 1) / threads;
   auto forEach = [&](int64_t thread, auto body) {
@@ -262,7 +266,8 @@ void tai_dev_deactivate_list(uint64_t tree, uint64_t node, uint64_t list) {
   for (int64_t i = tai_dev_block_id(); i < maker.header->count;
        i += tai_dev_grid_dim()) {
     int64_t cell = maker.cells()[i];
-    // Cells that hold only cells of other levels have been zeroed before.
+    // A cell that holds only cells of other levels needs no zeroing here: its
+    // contents have been zeroed before.
     if (!level.node.holdsCellsAlone)
       zero(level.addressOf(cell), level.node.cellBytes, thread, threads);
     clearBelow(level, number, cell, 1, thread, threads);
@@ -300,7 +305,8 @@ void tai_dev_keep_activity(uint64_t tree, uint64_t to) {
   for (int32_t i = 0; i < levels; ++i) {
     Level level(base, i);
     const TaiDeviceNode &node = level.node;
-    // In words of 32 bits: lengths, or halves of words of bits.
+    // The number of 32-bit words of the level's activity: a length is one word,
+    // a 64-bit word of bits two.
     int64_t words =
         node.isList ? node.cells / node.capacity : (node.cells + 63) / 64 * 2;
     int64_t room = (words + 1) / 2;

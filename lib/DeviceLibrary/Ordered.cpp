@@ -17,19 +17,21 @@
 
 using namespace tai::device;
 
-// The plan of a lane: a byte for each round, with the lane whose sum this lane
-// takes, and the bit `takes` if there is such a lane; then the number of rounds
-// of the warp, and the bit `writes` if this lane writes.
+// The encoding of a lane's plan: a byte for each round of the reduction, with
+// the lane whose sum this lane adds to its own, and the bit `takes` if there is
+// such a lane; then the number of rounds of the warp, and the bit `writes` if
+// this lane writes the sum to memory.
 static constexpr unsigned roundBits = 8, countShift = 48;
 static constexpr uint64_t takes = 32, writes = uint64_t(1) << 63;
 
 uint32_t tai_dev_ordered_lanes() {
 #ifndef __NVPTX__
-  // One thread does one iteration after another.
+  // With one thread in a block, that thread runs the iterations in order, and
+  // makes all additions.
   if (tai_dev_block_dim() == 1)
     return 1;
 #endif
-  // The code below waits for a whole warp.
+  // The functions below need a whole warp.
   if (static_cast<unsigned>(tai_dev_block_dim()) < warpSize)
     __builtin_trap();
   return warpSize;
@@ -42,12 +44,13 @@ uint64_t tai_dev_ordered_plan(const void *address) {
   if (tai_dev_block_dim() == 1)
     return address ? writes : 0;
 #endif
-  // Reads of all lanes before this point come before the write of any lane.
+  // A barrier: what lanes read before this call must be read before any lane
+  // writes.
   syncWarp();
   auto bits = reinterpret_cast<uint64_t>(address);
   uint32_t same = matchAny(bits);
   auto lane = getLane();
-  // Lanes that add nothing take the sum of no other lane.
+  // A lane that adds nothing takes the sum of no other lane.
   uint32_t above = address ? same & ~((uint32_t(2) << lane) - 1) : 0;
   uint32_t next = above ? takes | __builtin_ctz(above) : lane;
   bool isLowest = address && !(same & ((uint32_t(1) << lane) - 1));
@@ -71,7 +74,8 @@ template <typename T> static void add(uint64_t plan, T *target, T value) {
   }
   if (plan & writes)
     *target += value;
-  // In the next addition, another lane may write to the same element.
+  // A barrier: in the next addition, another lane may write to the same
+  // element.
   syncWarp();
 }
 
@@ -87,16 +91,17 @@ void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value) {
 // Sums in the order of lanes
 //===----------------------------------------------------------------------===//
 
-// The result has the number of rounds of the warp. For the lowest lane of an
-// address, it also has the other lanes with this address, in the low bits, and
-// the bit `writes`.
+// tai_dev_ordered_turns returns the number of rounds of the warp. In the lowest
+// lane of an address, the result also has the mask of the other lanes with this
+// address, in the low bits, and the bit `writes`.
 
 uint64_t tai_dev_ordered_turns(const void *address) {
 #ifndef __NVPTX__
   if (tai_dev_block_dim() == 1)
     return address ? writes : 0;
 #endif
-  // Reads of all lanes before this point come before the write of any lane.
+  // A barrier: what lanes read before this call must be read before any lane
+  // writes.
   syncWarp();
   uint32_t same = matchAny(reinterpret_cast<uint64_t>(address));
   auto lane = getLane();
@@ -120,7 +125,8 @@ template <typename T> static void append(uint64_t turns, T *target, T value) {
   }
   if (turns & writes)
     *target = sum;
-  // In the next addition, another lane may write to the same element.
+  // A barrier: in the next addition, another lane may write to the same
+  // element.
   syncWarp();
 }
 

@@ -16,7 +16,8 @@
 
 using namespace tai::device;
 
-// Made by the compiler for each program: calls the part with this number.
+// Calls the part with the number `part`. The compiler makes this function for
+// each program.
 extern "C" void tai_program_dispatch(uint64_t part, const uint64_t *slots);
 
 static uint64_t globalThread() {
@@ -37,8 +38,8 @@ static void fillAs(uint64_t address, uint64_t word, uint64_t count) {
     to[i] = static_cast<T>(word);
 }
 
-/// The slots are the address, eight bytes of the pattern, the size of the
-/// pattern, and the number of times that it is stored.
+/// Runs a fill. `slots`: the address, eight bytes of the pattern, the size of
+/// the pattern, and the number of times that it is stored.
 static void fill(const uint64_t *slots) {
   uint64_t address = slots[0], word = slots[1], size = slots[2],
            count = slots[3];
@@ -62,7 +63,7 @@ static void copyAs(uint64_t to, uint64_t from, uint64_t bytes) {
     target[i] = source[i];
 }
 
-/// The slots are the target, the source and the number of bytes.
+/// Runs a copy. `slots`: the target, the source and the number of bytes.
 static void copy(const uint64_t *slots) {
   if ((slots[0] | slots[1] | slots[2]) % 8)
     copyAs<uint8_t>(slots[0], slots[1], slots[2]);
@@ -70,14 +71,16 @@ static void copy(const uint64_t *slots) {
     copyAs<uint64_t>(slots[0], slots[1], slots[2]);
 }
 
-/// Calls move(offset of a row on one side, offset on the other side, byte in
-/// the row) for the units of this thread.
+/// Divides rows into units of type T, and calls move(offset of the row on one
+/// side, offset on the other side, byte in the row) for each unit of this
+/// thread.
 template <typename T, typename Move>
 static void forEachUnit(const uint64_t *slots, uint64_t otherStep,
                         const Move &move) {
   uint64_t units = slots[2] / sizeof(T), rows = slots[3] * slots[7];
   for (uint64_t i = globalThread(); i < units * rows; i += globalThreads()) {
-    // Divisions of 64 bits take as long as a read from memory.
+    // Use a 32-bit division where possible: a 64-bit division takes as long as
+    // a read from memory.
     uint64_t row = (i | units) >> 32 ? i / units
                                      : static_cast<uint32_t>(i) /
                                            static_cast<uint32_t>(units);
@@ -141,7 +144,8 @@ __attribute__((
     address_space(3),
     loader_uninitialized)) static uint64_t rows[2][TAI_PROGRAM_STRIDE];
 
-/// The array that gets the clock after each step; null if steps are not timed.
+/// The array of time stamps, which gets the clock after each step; null if
+/// steps are not timed.
 static uint64_t *getClocks(const uint32_t *header) {
   return *reinterpret_cast<uint64_t *const *>(
       reinterpret_cast<const char *>(header) + TAI_PROGRAM_CLOCKS);
@@ -167,7 +171,8 @@ static inline void runProgram(const uint64_t *table, uint64_t steps,
     auto *row = (const uint64_t *)rows[step & 1];
     const uint64_t *next = table + (step + 1) * stride;
     bool more = step + 1 < steps;
-    // Loaded before the step, which hides the latency, and stored after it.
+    // The next row is loaded before the step runs, which hides the latency of
+    // the load, and is stored after it.
     uint64_t word = more && thread < stride ? next[thread] : 0;
     uint64_t part = row[0];
     runPart(part & (TAI_PART_APART - 1), row + 1);

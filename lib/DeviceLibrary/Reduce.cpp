@@ -68,7 +68,8 @@ template <typename To, typename From> static To bitCast(From from) {
   return __builtin_bit_cast(To, from);
 }
 
-/// Updates by compare-exchange, until no other thread has written in between.
+/// Updates `target` by compare-and-exchange, repeated until no other thread has
+/// written in between.
 template <typename Op, typename T>
 static void updateInLoop(T *target, T value) {
   using Bits = typename BitsOf<sizeof(T)>::Type;
@@ -76,7 +77,8 @@ static void updateInLoop(T *target, T value) {
   Bits seen = atomicRead(bits);
   for (;;) {
     auto wanted = bitCast<Bits>(Op::combine(bitCast<T>(seen), value));
-    // Most minima and maxima change nothing.
+    // If the value does not change, as in most minima and maxima, no exchange
+    // is needed.
     if (wanted == seen || atomicReplace(bits, seen, wanted))
       return;
   }
@@ -125,7 +127,7 @@ template <typename T> static void update(Xor, T *target, T value) {
 // Blocks
 //===----------------------------------------------------------------------===//
 
-/// One slot for each warp.
+/// Shared memory of a reduction, with a slot for each warp of the block.
 TAI_SHARED_VARIABLE static uint64_t warpValues[warpSize];
 
 static uint64_t shuffleDown(uint32_t mask, uint64_t value, unsigned offset) {
@@ -171,7 +173,7 @@ template <typename Op, typename T> static void reduce(T *target, T value) {
       value = slots[(lane < warps ? lane : 0) * stride];
       value = reduceWarp<Op>(wholeWarp, lane, warps, value);
     }
-    // The slots are free for the next reduction.
+    // Wait, so that the slots in shared memory are free for the next reduction.
     syncBlock();
   }
   if (thread == 0)

@@ -45,7 +45,7 @@ static uint32_t lengthOf(const char *text) {
 
 static uint32_t least(uint32_t a, uint32_t b) { return a < b ? a : b; }
 
-/// Writes a string with its terminating zero, and returns the end.
+/// Copies a string of `length` characters, appends a zero, and returns the end.
 static char *putText(char *to, const char *text, uint32_t length) {
   for (uint32_t i = 0; i < length; ++i)
     *to++ = text[i];
@@ -54,7 +54,7 @@ static char *putText(char *to, const char *text, uint32_t length) {
 }
 
 namespace {
-/// The parts of a record.
+/// The contents of a record: a failure or a printed line.
 struct Content {
   int32_t kind;
   const char *text, *where;
@@ -68,11 +68,11 @@ struct Content {
 };
 } // namespace
 
-/// Measures the parts that fit in a record. Values come first, then the place,
-/// then the text.
+/// Computes the header of the record from the parts that fit in it. Values come
+/// first, then the place, then the text.
 TaiDeviceRecord Content::measure() const {
   uint32_t left = TAI_DEVICE_RECORD_BYTES - sizeof(TaiDeviceRecord) - 2;
-  // The bytes that values leave for the place and the text.
+  // The number of bytes that values must leave for the place and the text.
   constexpr uint32_t textReserve = 256;
   TaiDeviceRecord header = {};
   header.kind = kind;
@@ -103,7 +103,8 @@ TaiDeviceRecord Content::measure() const {
 void Content::write(const TaiDeviceRecord &header, void *to) const {
   auto *record = static_cast<TaiDeviceRecord *>(to);
   *record = header;
-  // The host fetches whole words, so the padding of the last word is zeroed.
+  // The host fetches whole words, so set the last word of the record to zero,
+  // which includes its padding.
   reinterpret_cast<uint64_t *>(to)[header.bytes / 8 - 1] = 0;
   auto *slot = reinterpret_cast<uint64_t *>(record + 1);
   for (int32_t i = 0; i < header.slots; ++i)
@@ -123,7 +124,8 @@ TAI_RARE void tai_rt_fail(TaiFrame *frame, int32_t failure, const char *message,
                           const uint64_t *slots) {
   TaiDeviceState &state = stateOf(frame);
   uint32_t seen = atomicRead(&state.failed);
-  // The exchange may fail although the word has the expected value.
+  // Repeat while `seen` is zero: a compare-and-exchange can fail although the
+  // word has the expected value.
   while (!seen)
     if (atomicReplace(&state.failed, seen, uint32_t(1))) {
       Content content{failure, message, where, count, kinds, shapes, slots};
@@ -207,7 +209,7 @@ TAI_RARE void tai_rt_stack_free(TaiStack *stack) {
 // Memory of a thread
 //===----------------------------------------------------------------------===//
 
-/// The address of allocations of zero bytes, which is not null.
+/// The address that an allocation of zero bytes returns. It is not null.
 static void *const noBytes = reinterpret_cast<void *>(alignof(uint64_t));
 
 __attribute__((noinline)) void *tai_rt_local_alloc(TaiFrame *frame,

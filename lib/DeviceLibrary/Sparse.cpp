@@ -64,10 +64,12 @@ TAI_RARE int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
   int64_t wanted = level.countNew(cell);
   if (wanted == 0)
     return 1;
-  // In a list, the cells before it need room too.
+  // In a list, activating a cell activates the inactive cells before it, which
+  // need room too.
   if (!takeRoom(frame, level, cell - wanted + 1, wanted, wanted, where))
     return 0;
-  // Other threads may have activated the same cells.
+  // Give back room that is not needed, because other threads have activated
+  // some of the cells meanwhile.
   int64_t added = level.activate(cell);
   level.giveBack(wanted - added);
   if (added)
@@ -109,7 +111,8 @@ TAI_RARE void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node,
     auto first = static_cast<int64_t>(values[2]);
     zeroContents(level, number, first, static_cast<int64_t>(values[3]), thread,
                  threads);
-    // All threads read the active cells below before clearBelow changes them.
+    // A barrier: all threads must have read which cells below are active before
+    // clearBelow changes that.
     all.meet();
     clearBelow(level, number, first, static_cast<int64_t>(values[4]), thread,
                threads);

@@ -51,7 +51,7 @@ inline void syncWarp() { __nvvm_bar_warp_sync(wholeWarp); }
 inline uint32_t getLane() {
   return static_cast<uint32_t>(__nvvm_read_ptx_sreg_laneid());
 }
-/// The value of lane `from`; the lane's own value if there is no such lane.
+/// The value that lane `from` passes; `value` itself if there is no such lane.
 inline uint32_t shuffle(uint32_t mask, uint32_t value, unsigned from) {
   return static_cast<uint32_t>(
       __nvvm_shfl_sync_idx_i32(mask, static_cast<int32_t>(value),
@@ -96,7 +96,8 @@ inline bool voteAny(bool mine) {
 inline bool isSameInWarp(uint64_t) { return false; }
 #endif
 
-/// A volatile read: the host writes to this address asynchronously.
+/// Reads the host's request to stop. The read is volatile, because the host
+/// writes to this address at any time.
 #ifdef __NVPTX__
 inline uint32_t lookAt(uint32_t *stop) {
   return *static_cast<volatile uint32_t *>(stop);
@@ -186,7 +187,8 @@ template <typename T> inline T atomicRead(T *source) {
                                 __MEMORY_SCOPE_DEVICE);
 }
 
-/// Compare-exchange. On failure, sets `seen` to the current value.
+/// A compare-and-exchange of `*target` from `seen` to `value`. If it fails, it
+/// sets `seen` to the current value.
 template <typename T> inline bool atomicReplace(T *target, T &seen, T value) {
   return __scoped_atomic_compare_exchange_n(target, &seen, value, /*weak=*/true,
                                             __ATOMIC_RELAXED, __ATOMIC_RELAXED,

@@ -17,8 +17,8 @@ int32_t tai_dev_grid_dim() { return __nvvm_read_ptx_sreg_nctaid_x(); }
 
 void tai_dev_block_barrier() { __syncthreads(); }
 
-// The orderings are written out: LLVM's code generator leaves them out of the
-// atomic additions that it makes for NVPTX.
+// The memory orderings are written as assembly, because LLVM's code generator
+// for NVPTX leaves them out of atomic additions.
 static uint32_t arrive(uint32_t *state, uint32_t amount) {
   uint32_t before;
   asm volatile("fence.acq_rel.gpu;\n\tatom.relaxed.gpu.add.u32 %0, [%1], %2;"

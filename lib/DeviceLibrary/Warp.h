@@ -12,7 +12,8 @@
 
 namespace tai::device {
 
-/// The value of lane `from`. All lanes of the warp must call this together.
+/// The value that lane `from` passes. All lanes of the warp must call this
+/// function together.
 inline uint32_t exchange(uint32_t value, unsigned from) {
   return shuffle(wholeWarp, value, from);
 }

@@ -20,8 +20,8 @@
 
 using namespace tai::device;
 
-/// a + b, rounded. With a plain addition, the compiler could fuse a product in
-/// `a` or `b` into it, while atomics add the rounded product.
+/// Returns a + b, rounded. With a plain addition, the compiler could fuse a
+/// product in `a` or `b` into it, while atomics add the rounded product.
 static double add(double a, double b) {
 #ifdef __NVPTX__
   return __nvvm_add_rn_d(a, b);
@@ -30,7 +30,7 @@ static double add(double a, double b) {
 #endif
 }
 
-/// The rounding error of a + b, which is `sum`.
+/// The rounding error of the addition a + b, whose rounded result is `sum`.
 static double getError(double a, double b, double sum) {
   double partB = add(sum, -a);
   return add(add(a, -add(sum, -partB)), add(b, -partB));
@@ -70,6 +70,7 @@ double tai_dev_wide_take_f64(double *sums, double element) {
   double sum = sums[0], total = add(element, sum);
   double error = add(sums[1], getError(element, sum, total));
   sums[0] = sums[1] = 0;
-  // A sum that is not finite has no rounding error.
+  // If the total is infinite or NaN, the rounding error has no meaning and is
+  // dropped.
   return total - total == 0 ? add(total, error) : total;
 }

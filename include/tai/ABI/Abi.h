@@ -38,10 +38,12 @@ typedef struct TaiFrame {
   /// pointer slot followed by one int64 slot for each dimension (row-major,
   /// contiguous).
   const uint64_t *args;
-  /// The returned value, in slots as above.
+  /// The returned value, in slots of eight bytes laid out like those of
+  /// arguments.
   uint64_t *results;
   TaiRuntime *runtime;
-  /// Seed of the context and number of this launch, for `tai.random`.
+  /// Two keys of the random numbers of `tai.random`: the seed of the context,
+  /// and the number of this launch.
   uint64_t seed;
   uint64_t launch;
   /// The last tick of the safepoint clock that this launch has seen; see
@@ -72,7 +74,7 @@ typedef struct TaiStack {
   int64_t capacity;
 } TaiStack;
 
-/// Kinds of printed and reported values.
+/// Types of the values in printed lines and in failure messages.
 enum TaiValueKind {
   TAI_VALUE_I64 = 0, // int64_t slot (all integers are sign-extended)
   TAI_VALUE_F64 = 1, // double slot (all floats are extended)
@@ -80,7 +82,7 @@ enum TaiValueKind {
   TAI_VALUE_BOOL = 3
 };
 
-/// The last character of a printed format whose line goes on (ETX).
+/// A printed format that ends in this character (ETX) gets no newline.
 #define TAI_SAME_LINE '\3'
 
 /// Kinds of failures; see tai_rt_fail.
@@ -98,7 +100,7 @@ typedef struct TaiShadowSite {
   void *site;   // the log's entry for the site
 } TaiShadowSite;
 
-/// The counts of one run of a function for a site.
+/// What one run of a function counts for one TaiShadowSite.
 typedef struct TaiShadowCount {
   int64_t lost;
   int64_t cancellations;
@@ -121,8 +123,8 @@ enum TaiShadowUpdate {
   TAI_SHADOW_MAX = 3,
   TAI_SHADOW_XCHG = 4
 };
-/// The bits of an address that index the table of shadows: the shadow is at
-/// twice their value.
+/// The table of shadows is indexed by these low bits of an address: the shadow
+/// is at twice their value, because it is twice as wide as the float.
 #define TAI_SHADOW_MASK ((UINT64_C(1) << 34) - 1)
 
 #define TAI_ENTRY(result, name, parameters) result tai_rt_##name parameters;

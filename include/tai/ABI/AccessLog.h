@@ -31,16 +31,18 @@ constexpr int64_t kLogEntries = 4;
 constexpr int64_t kLogWords = 1 + 3 * kLogEntries;
 
 enum class ViolationKind : int64_t {
-  /// A store to an element that was read; the derivative of the read needs the
-  /// value.
+  /// A store overwrites an element that was read; the derivative of the read
+  /// needs the overwritten value.
   OverwrittenAfterRead,
-  /// An accumulation into an element that was read.
+  /// An atomic update changes an element that was read.
   AccumulatedAfterRead,
-  /// A second store, or a store to an element that was accumulated into.
+  /// An element is stored a second time, or stored after an accumulation into
+  /// it.
   WrittenTwice,
-  /// A second store by another iteration of the same loop.
+  /// Two iterations of one parallel loop store to the same element.
   Race,
-  /// A read of an element that another iteration of the same loop writes.
+  /// An iteration reads an element that another iteration of the same parallel
+  /// loop writes.
   EarlyRead,
 };
 

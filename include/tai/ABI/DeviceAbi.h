@@ -67,22 +67,26 @@ void tai_dev_grid_await(uint32_t *state, uint32_t before);
 // is added to the element: the result depends on the addresses and values
 // alone.
 
-/// The number of threads that make these calls; traps if blocks have fewer.
+/// The number of threads that must make the calls of ordered additions. Traps
+/// if blocks have fewer threads.
 uint32_t tai_dev_ordered_lanes(void);
 
-/// A barrier for these threads; writes before it are visible after it.
+/// A barrier for the threads that make ordered additions; their writes before
+/// it are visible to all of them after it.
 void tai_dev_ordered_meet(void);
 
-/// The order of summation for lanes that have the same address.
+/// Finds the lanes of the warp that pass the same `address`, and encodes the
+/// order in which their values are summed. Null for a lane that adds nothing.
 uint64_t tai_dev_ordered_plan(const void *address);
 
-/// Adds in the order of `plan`. `target` lies at the same distance from the
-/// address given to the plan in all lanes that gave one; other lanes ignore it.
+/// Adds the values of all lanes in the order of `plan`. In each lane, `target`
+/// lies at the same distance from the address that the lane gave to
+/// tai_dev_ordered_plan; lanes that gave null ignore it.
 void tai_dev_ordered_add_f32(uint64_t plan, float *target, float value);
 void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value);
 
-/// As tai_dev_ordered_plan and tai_dev_ordered_add, but the lanes add their
-/// values to memory one after another: as if their iterations followed one
+/// Like tai_dev_ordered_plan and tai_dev_ordered_add, but the lanes add their
+/// values to memory one after another, as if their iterations followed one
 /// another.
 uint64_t tai_dev_ordered_turns(const void *address);
 void tai_dev_ordered_append_f32(uint64_t turns, float *target, float value);
@@ -106,34 +110,33 @@ void tai_dev_fixed_add_f64(const uint32_t *scale, uint64_t *sum, double value);
 /// accumulator, only one of them adds the sum.
 void tai_dev_fixed_round_f32(uint32_t *scale, uint64_t *sum, float *element);
 void tai_dev_fixed_round_f64(uint32_t *scale, uint64_t *sum, double *element);
-/// The sum, for an element of another type.
+/// Returns the sum of an accumulator for f32, for an element of another type.
 double tai_dev_fixed_take_f32(uint32_t *scale, uint64_t *sum);
 
 //===----------------------------------------------------------------------===//
 // Sums with twice the digits of their terms
 //===----------------------------------------------------------------------===//
-//
-// Zero before the first addition: a sum of terms of f32 or narrower, and a sum
-// of f64 followed by its rounding errors. See
+// Sums start at zero. A sum of terms of f32 or narrower is one f64; a sum of
+// f64 is two f64, the second of which holds the rounding errors. See
 // docs/decisions/0049-wide-scatters.md.
 
 void tai_dev_wide_add_f32(double *sum, double term);
 void tai_dev_wide_add_f64(double *sums, double term);
-/// Returns the element plus the sum, rounded once, and sets the sum to zero.
+/// Returns `element` plus the sum, rounded once, and sets the sum to zero.
 double tai_dev_wide_take_f64(double *sums, double element);
 
 //===----------------------------------------------------------------------===//
 // Memory of one thread, from the heap of the device
 //===----------------------------------------------------------------------===//
 
-/// Null if the heap is exhausted, after reporting `text` as a failure at
-/// `where`; "{}" in `text` stands for the bytes. An allocation of 0 bytes
-/// succeeds.
+/// Allocates memory for one thread. If the heap is exhausted, reports the
+/// failure `text` at `where` and returns null; "{}" in `text` stands for the
+/// number of bytes. An allocation of 0 bytes succeeds.
 void *tai_rt_local_alloc(TaiFrame *frame, uint64_t bytes, const char *text,
                          const char *where);
 void tai_rt_local_free(void *memory);
-/// As tai_rt_stack_grow; `text` and `where` are for the failure if the heap is
-/// exhausted.
+/// Like tai_rt_stack_grow. If the heap is exhausted, reports the failure `text`
+/// at `where`.
 void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack, const char *text,
                           const char *where);
 
@@ -157,19 +160,20 @@ void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 // header, and the words of the parameters of its loops. See
 // docs/decisions/0011-device-programs.md.
 
-/// The name of the kernel of a program.
+/// The name of the one kernel that a program consists of.
 #define TAI_PROGRAM_FUNCTION "tai_program"
 
-/// The scope of the barrier after a step: one block, a cluster of blocks, or
-/// the grid.
+/// The threads that the barrier after each step of a program covers: those of
+/// one block, of a cluster of blocks, or of the grid.
 #define TAI_SCOPE_BLOCK 0
 #define TAI_SCOPE_CLUSTER 1
 #define TAI_SCOPE_GRID 2
-/// Not a program: kernels of the device library itself.
+/// In place of a scope: not a program, but kernels of functions of the device
+/// library.
 #define TAI_SCOPE_NONE (-1)
-/// Not a program: a kernel for each part. A kernel may start while the kernel
-/// before it still runs, and itself waits for the end of that kernel
-/// (programmatic dependent launch).
+/// In place of a scope: not a program, but a kernel for each part. Such a
+/// kernel may start while the kernel before it still runs, and itself waits for
+/// the end of that kernel (programmatic dependent launch).
 #define TAI_SCOPE_LAUNCHES (-2)
 
 /// Parts that every program has. Parameters of a fill: address, pattern of
@@ -184,25 +188,26 @@ void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 #define TAI_PART_FILL_ROWS 2
 #define TAI_PART_COPY_ROWS 3
 #define TAI_PART_SWAP_ROWS 4
-/// The number of the first part that is the body of a kernel.
+/// The number of the first part of a program that is the body of a kernel;
+/// smaller numbers are the built-in parts above.
 #define TAI_FIRST_PART 5
-/// Added to the number of a part where no barrier is needed before the next
-/// step: no thread of that step accesses memory that another thread has written
-/// since the last barrier.
+/// This bit in the part number of a step says that no barrier is needed before
+/// the next step: no thread of the next step accesses memory that another
+/// thread has written since the last barrier.
 #define TAI_PART_APART ((uint64_t)1 << 32)
 
-/// The maximum of words in a row.
+/// The maximum number of eight-byte words in a row of the step table.
 #define TAI_PROGRAM_STRIDE 128
-/// The maximum of words of loop parameters: a kernel has 4096 bytes of
-/// parameters.
+/// The maximum number of words that hold parameters of loops: a kernel has 4096
+/// bytes of parameters.
 #define TAI_PROGRAM_WORDS 500
 
 /// The byte offset, in the header of a program, of the address of the time
 /// stamps, or null: the first thread stores its clock there before the first
 /// step and after each step.
 #define TAI_PROGRAM_CLOCKS 128
-/// The byte offset, in the header, of the word of the barrier in two steps
-/// (arrive and await).
+/// The byte offset, in the header of a program, of the word that the barrier in
+/// two steps (arrive and await) uses.
 #define TAI_PROGRAM_ARRIVALS 64
 #define TAI_PROGRAM_HEADER 256
 
@@ -216,19 +221,21 @@ void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
 void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
                           uint64_t stride, uint32_t *header, uint64_t first);
 
-/// A barrier for all threads of the program.
+/// A barrier for all threads of a program, which runs in one block, cluster or
+/// grid.
 void tai_dev_program_wait_block(uint32_t *header);
 void tai_dev_program_wait_cluster(uint32_t *header);
 void tai_dev_program_wait_grid(uint32_t *header);
 
-/// The barrier of the grid in two steps, see tai_dev_grid_arrive.
+/// The barrier of a program's grid in two steps; see tai_dev_grid_arrive.
 uint32_t tai_dev_program_arrive(uint32_t *header);
 void tai_dev_program_await(uint32_t *header, uint32_t before);
 
-/// Runs a part that every program has.
+/// Runs one of the built-in parts: fills, copies and swaps.
 void tai_dev_program_part(uint64_t part, const uint64_t *slots);
 
-/// Stores the clock after `steps` steps.
+/// If steps are time-stamped, the first thread stores its clock as the stamp
+/// after `steps` steps of the program.
 void tai_dev_program_clock(const uint32_t *header, uint64_t steps);
 
 //===----------------------------------------------------------------------===//
@@ -239,15 +246,16 @@ int32_t tai_emu_thread_id(void);
 int32_t tai_emu_block_id(void);
 int32_t tai_emu_block_dim(void);
 int32_t tai_emu_grid_dim(void);
-/// Barriers for the block and the warp.
+/// Barriers for the emulated block and the emulated warp.
 void tai_emu_block_barrier(void);
 void tai_emu_warp_barrier(void);
-/// A shuffle: the value of lane `from`, or the lane's own where there is none.
-/// All lanes of the warp call it.
+/// A shuffle: returns the value that lane `from` passes, or `value` if there is
+/// no such lane. All lanes of the emulated warp must call it.
 uint64_t tai_emu_exchange(uint64_t value, uint32_t from);
-/// The mask of lanes that pass the same value. All lanes of the warp call it.
+/// The mask of lanes that pass the same `value`. All lanes of the emulated warp
+/// must call it.
 uint32_t tai_emu_match(uint64_t value);
-/// Sets `*stop` if the host asked the kernel to stop.
+/// Sets `*stop` if the host has asked the kernel to stop.
 void tai_emu_look(uint32_t *stop);
 void *tai_emu_allocate(uint64_t bytes);
 void tai_emu_free(void *memory);

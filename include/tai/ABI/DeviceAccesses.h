@@ -41,8 +41,8 @@ struct DeviceAccess {
   enum Kind : int64_t {
     Read,
     Write,
-    /// An atomic addition whose result is unused. Additions commute; in
-    /// deterministic mode, additions of floats are classified as writes.
+    /// An atomic addition whose result is unused: such additions commute. In
+    /// deterministic mode, additions of floats count as writes instead.
     Sum,
   };
   int64_t kind = Write;
@@ -55,7 +55,8 @@ struct DeviceAccess {
   /// holds as long as offset, terms and strides together stay far below 2^31
   /// times `unit` bytes.
   int64_t unit = 0;
-  /// One for each dimension of the loop.
+  /// For each dimension of the loop: the distance in bytes between the accesses
+  /// of consecutive iterations.
   std::vector<int64_t> strides;
   std::vector<LaunchTerm> terms;
 
@@ -67,9 +68,10 @@ struct DeviceAccess {
   }
 };
 
-/// The suffix of the variant of a device function that runs one iteration of
-/// its loop, and the function that this variant calls with an address and the
-/// number of a site, to get the address to access instead.
+/// Functions that can run in tiles have a variant that runs one iteration of
+/// the loop. tileSuffix: the suffix of the variant's name. tileSiteFunction: a
+/// function that the variant calls with an address and the number of a site,
+/// and that returns the address to access instead.
 constexpr char tileSuffix[] = "_tile";
 constexpr char tileSiteFunction[] = "tai_tile_site";
 
@@ -88,12 +90,13 @@ struct TileSite {
              shift == other.shift && wraps == other.wraps;
     }
   };
-  /// Where `isRegular`, offset and terms give the address of cell 0, and
-  /// strides are zero.
+  /// The access. If `isRegular`, its offset and terms give the address of cell
+  /// 0, and its strides are zero.
   DeviceAccess access;
-  /// `digits` give the touched cell; otherwise only `access` is known.
+  /// Whether `digits` give the cell that an iteration touches; if false, only
+  /// `access` is known.
   bool isRegular = false;
-  /// Every iteration executes the site exactly once.
+  /// Whether every iteration executes this load or store exactly once.
   bool isCertain = false;
   std::vector<Digit> digits;
 
@@ -103,14 +106,14 @@ struct TileSite {
   }
 };
 
-/// All accesses of a device function, which touches no other memory. Absent for
-/// a function whose accesses are not all known.
+/// All memory accesses of a device function. Exists only if all accesses of the
+/// function are known.
 struct FunctionAccesses {
   /// Iterations are distributed with the stride of the grid: iteration number
   /// i, counted over all dimensions with the last one fastest, is executed by
   /// thread i modulo the threads of the grid.
   bool isGridStride = false;
-  /// Extents of the loop; -1 for an unknown extent.
+  /// Number of iterations along each dimension of the loop; -1 if unknown.
   std::vector<int64_t> extents;
   std::vector<DeviceAccess> accesses;
 
@@ -151,8 +154,8 @@ struct FunctionAccesses {
   }
   static constexpr int64_t sitesFollow = -1;
 
-  /// Returns no value for an empty list, and for a list that `encode` cannot
-  /// have made.
+  /// Decodes the list of numbers. No value for an empty list, and for a list
+  /// that `encode` cannot have made.
   static std::optional<FunctionAccesses>
   decode(const std::vector<int64_t> &words) {
     size_t at = 0;

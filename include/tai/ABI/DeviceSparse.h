@@ -17,7 +17,7 @@
 
 #include <stdint.h>
 
-/// Bytes in front of the base of a sparse tree.
+/// Bytes reserved in front of the base address of a sparse tree.
 #define TAI_DEVICE_TREE_HEADER 256
 
 #ifdef __cplusplus
@@ -35,25 +35,30 @@ typedef struct TaiDeviceStep {
 #define TAI_DEVICE_ACTIVITY_CHANGED 1u
 #define TAI_DEVICE_CELLS_REMOVED 2u
 
-/// Changes to the activity of a level.
+/// How the activity of a sparse level has changed on the device.
 typedef struct TaiDeviceActivity {
-  /// The bits above that were set since the host last read `changes`.
+  /// The bits TAI_DEVICE_ACTIVITY_CHANGED and TAI_DEVICE_CELLS_REMOVED, set for
+  /// changes since the host last read this member.
   uint32_t changes;
-  /// Non-zero if the activity has changed since `version`.
+  /// Non-zero if the activity has changed since the version number `version` of
+  /// it.
   uint32_t isNew;
   /// Counts, from 1 on, the versions of the activity for which a list was
   /// requested.
   uint64_t version;
 } TaiDeviceActivity;
 
-/// Precedes the numbers of the cells of a list, which are ascending.
+/// Stands in memory in front of a list of active cells, which are given by
+/// ascending numbers.
 typedef struct TaiDeviceListHeader {
-  /// Non-zero while the list is being computed.
+  /// Non-zero while the list is being recomputed.
   uint64_t isOld;
-  /// The TaiDeviceActivity::version from which the list was made; 0 for none.
+  /// The TaiDeviceActivity::version from which the list was computed; 0 if it
+  /// never was.
   uint64_t version;
   uint64_t reserved;
-  /// The number of cells. Loops read it in the word in front of the first cell.
+  /// The number of cells in the list. Loops read it in the word in front of the
+  /// first cell.
   int64_t count;
 } TaiDeviceListHeader;
 
@@ -78,8 +83,8 @@ typedef struct TaiDeviceCellMove {
 #define TAI_CELLS_EXCHANGE 2
 #define TAI_CELLS_FILL 3
 
-/// Words of bits, or lengths of lists, that a block processes at a time when it
-/// computes a list.
+/// The number of words of activity (bits of cells, or lengths of lists) that a
+/// block processes at a time when it computes a list of active cells.
 #define TAI_DEVICE_LIST_TILE 1024
 
 /// The bytes that active cells of a tree use, and their limit.
@@ -98,33 +103,36 @@ typedef struct TaiDeviceAccount {
 } TaiDeviceAccount;
 
 typedef struct TaiDeviceNode {
-  /// Non-zero for a `dynamic` level: a length for each list; else a bit for
-  /// each cell.
+  /// Non-zero for a `dynamic` level, whose activity is a length for each list;
+  /// otherwise the activity is a bit for each cell.
   int32_t isList;
-  /// The nearest sparse level above, or -1.
+  /// The number of the nearest sparse level above, or -1.
   int32_t parent;
-  /// The first of the level's steps in TaiDeviceTree::steps, and their number.
+  /// The steps of the level in TaiDeviceTree::steps: the index of the first
+  /// step, and their number.
   int32_t firstStep, steps;
   int64_t cells;
-  /// Cells of this level below one cell of `parent`.
+  /// The number of cells of this level below one cell of the level `parent`.
   int64_t cellsBelow;
-  /// The maximum length of a list.
+  /// For a `dynamic` level, the maximum length of a list.
   int64_t capacity;
   int64_t cellBytes;
-  /// Byte offsets, in the tree, of cell 0 and of the bits or lengths.
+  /// Byte offsets, from the base of the tree, of cell 0 and of the level's
+  /// activity.
   int64_t offset, activityOffset;
   TaiDeviceActivity *activity;
   /// The cells deactivated since the host last read this memory, laid out like
-  /// the bits or lengths.
+  /// the level's activity (bits or lengths).
   void *removed;
-  /// A bit for each word of bits, or each list, that has been non-zero;
-  /// conservative: the word or length may have become zero again.
+  /// Bit i is set if word i of the level's activity has ever been non-zero.
+  /// Conservative: the word may have become zero again.
   uint64_t *marks;
-  /// Messages of failures: a cell number out of range, a full list, and the
-  /// memory limit; the last is null where cells hold other cells and are not
-  /// counted.
+  /// Failure messages: a cell number is out of range, a list is full, the
+  /// memory limit is exceeded. The last message is null for a level whose cells
+  /// only hold cells of other levels, and are not counted.
   const char *rangeMessage, *fullMessage, *memoryMessage;
-  /// The message for the limit of pieces; null where memoryMessage is null.
+  /// The failure message if the limit of committed pieces is exceeded; null if
+  /// memoryMessage is null.
   const char *pieceMessage;
   /// Non-zero if a cell consists of cells of the next levels alone: such a cell
   /// is zero once its active cells of those levels are zeroed.

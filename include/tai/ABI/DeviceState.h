@@ -20,11 +20,11 @@
 #define TAI_DEVICE_STATE_MAGIC 0x74616964u
 #define TAI_DEVICE_STATE_VERSION 1u
 
-/// The maximum of bytes in a record; a longer record is truncated, and counts
-/// its loss.
+/// The maximum size of a record in bytes; a longer record is truncated, and
+/// says how much was cut off.
 #define TAI_DEVICE_RECORD_BYTES 2048u
 
-/// A value kind besides the kinds of Abi.h, in records of device code only: a
+/// A further TaiValueKind, which only occurs in records of device code: a
 /// number of bytes, printed with a unit.
 #define TAI_DEVICE_VALUE_BYTES 64
 
@@ -39,13 +39,14 @@ extern "C" {
 typedef struct TaiDeviceRecord {
   /// Size of the record.
   uint32_t bytes;
-  /// An enum TaiFailure; 0 for a printed line.
+  /// The TaiFailure that the record reports; 0 if the record is a printed line.
   int32_t kind;
   int32_t count;
   int32_t slots;
   uint32_t textBytes;
   uint32_t whereBytes;
-  /// Values, and characters of the text and of the place, that were cut off.
+  /// The number of values, and the number of characters of the text and of the
+  /// place, that were cut off because the record was too long.
   uint32_t lostValues;
   uint32_t lostBytes;
 } TaiDeviceRecord;
@@ -54,7 +55,8 @@ typedef struct TaiDeviceRecord {
 typedef struct TaiDeviceState {
   uint32_t magic;
   uint32_t version;
-  /// Non-zero once `failure` has been claimed.
+  /// Non-zero once a thread has claimed the member `failure`, to write the
+  /// first failure.
   uint32_t failed;
   /// Lines dropped because the buffer was full.
   uint32_t lostLines;
@@ -62,18 +64,20 @@ typedef struct TaiDeviceState {
   /// Bytes claimed so far; claims that did not fit count as well, so this may
   /// exceed the capacity.
   uint64_t outputUsed;
-  /// The end of the records, if more than the capacity was claimed.
+  /// If more bytes than the capacity were claimed: the end of the records that
+  /// fit.
   uint64_t outputEnd;
-  /// The maximum of bytes in a stack.
+  /// The maximum size in bytes of a stack (TaiStack).
   uint64_t stackLimit;
-  /// State of tai_dev_grid_barrier: blocks that have arrived, and generations.
+  /// State of tai_dev_grid_barrier: the number of blocks that have arrived, and
+  /// the number of the barrier.
   uint32_t barrier[2];
   /// Non-zero while kernels are asked to stop: the number of the host thread
   /// that asks.
   uint32_t stop;
-  /// The value of `stop` for which a device thread has exited.
+  /// The value of `stop` that made a device thread exit; 0 if none has.
   uint32_t stopped;
-  /// The first failure, a TaiDeviceRecord.
+  /// The record (TaiDeviceRecord) of the first failure.
   uint64_t failure[TAI_DEVICE_RECORD_BYTES / 8];
 } TaiDeviceState;
 

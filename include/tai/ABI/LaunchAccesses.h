@@ -22,7 +22,8 @@ namespace mlir::tai::runtime {
 
 enum class AccessKind : uint8_t { Read, Write, Accumulate };
 
-/// A signed integer argument of a launch, of `bits` bits, times a factor.
+/// A summand of an index: a signed integer argument of the launch, which has
+/// `bits` bits, times a factor.
 struct LaunchTerm {
   int64_t slot; // of the argument
   int64_t bits;
@@ -43,12 +44,12 @@ struct FixedIndex {
   int64_t dimension;
   int64_t constant;
   std::vector<LaunchTerm> terms;
-  /// The program computes the sum in this number of bits, so that it counts
-  /// modulo two to this power.
+  /// The program computes the sum in integers of this many bits, which wrap:
+  /// the sum counts modulo 2^bits.
   int64_t bits = 64;
 
   int64_t evaluate(const uint64_t *args) const {
-    // Wraps where the program does.
+    // Compute in unsigned numbers, and wrap to `bits` bits as the program does.
     uint64_t sum = static_cast<uint64_t>(constant);
     for (const LaunchTerm &term : terms)
       sum += static_cast<uint64_t>(term.getArgument(args)) *

@@ -21,7 +21,8 @@ namespace mlir::tai {
 constexpr char kLocalAllocate[] = "tai_rt_local_alloc";
 constexpr char kLocalFree[] = "tai_rt_local_free";
 constexpr char kLocalGiven[] = "tai_rt_local_given";
-/// The safepoint of loops that may run long: null where the thread must exit.
+/// The function that device code calls as a safepoint in loops that may run
+/// long. It returns null if the thread must exit.
 constexpr char kGoOn[] = "tai_rt_go_on";
 
 } // namespace mlir::tai

@@ -15,22 +15,25 @@
 
 #include "tai/ABI/Abi.h"
 
-/// A further kind of `tai_rt_combine`: a field of f64 with private buffers of
-/// pairs of f64, first the sums, then their rounding errors (compensated
-/// summation).
+/// A further mode of `tai_rt_combine`: the field is f64, and the private
+/// buffers hold pairs of f64, first the sums, then their rounding errors
+/// (compensated summation).
 enum { kSumsPairs = kSumsWide + 1 };
-/// Fields of 16 bits with private buffers of f64.
+/// Further modes of `tai_rt_combine`: fields of 16-bit floats, with private
+/// buffers of f64.
 enum { kSumsF16 = kSumsPairs + 1, kSumsBF16 };
-/// Fields of integers of 32 and 64 bits with private buffers of the same type.
+/// Further modes of `tai_rt_combine`: fields of 32-bit and 64-bit integers,
+/// with private buffers of the same type.
 enum { kSumsI32 = kSumsBF16 + 1, kSumsI64 };
 
-/// An argument of `tai_rt_parts`, besides 0 and, for reductions, 1: the
-/// partition depends on the loop alone, whatever the options of the context.
+/// A further value of the argument of `tai_rt_parts` that is 0, or 1 for loops
+/// with reductions: the partition then depends on the loop alone, whatever the
+/// options of the context.
 enum { kPartsFixed = 2 };
 
 namespace mlir::tai::runtime {
-/// Attribute of functions in which the plan of reductions lets LLVM choose the
-/// order of sums: sums of f32 are then kept in f64 (`WidenSums`).
+/// Name of an attribute of functions in which the plan of reductions lets LLVM
+/// choose the order of sums. The pass WidenSums then keeps sums of f32 in f64.
 inline constexpr char kFreeSumsAttrName[] = "tai.free_sums";
 } // namespace mlir::tai::runtime
 

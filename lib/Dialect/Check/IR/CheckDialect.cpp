@@ -36,7 +36,8 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Helpers of host functions are inlined together with their checks.
+/// Allows inlining of check ops: helper functions of host programs are inlined
+/// together with their checks.
 struct CheckInlinerInterface : DialectInlinerInterface {
   using DialectInlinerInterface::DialectInlinerInterface;
 
@@ -63,7 +64,8 @@ void CheckDialect::initialize() {
 void tai::registerCheckDialect(DialectRegistry &registry) {
   registry.insert<CheckDialect>();
   registry.addExtension(+[](MLIRContext *context, TaiDialect *) {
-    // This has no effect if it is the check dialect that loads the tai dialect.
+    // Load the check dialect with the tai dialect. This does nothing if the
+    // check dialect itself is loading the tai dialect.
     context->loadDialect<CheckDialect>();
   });
 }

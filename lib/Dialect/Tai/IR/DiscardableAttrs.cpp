@@ -21,11 +21,11 @@ using namespace mlir::tai;
 namespace {
 enum class Kind { Unit, Integer, Float, Symbol, List, Numbers, Register, Any };
 
-/// Attributes that people write, and attributes by which passes communicate.
+/// A discardable attribute that people write, or by which passes communicate.
 struct KnownAttr {
   StringLiteral name;
   Kind kind;
-  /// Whether the attribute is allowed on functions and kernels only.
+  /// Whether only functions and kernels may have the attribute.
   bool ofFunctions = false;
 };
 } // namespace
@@ -33,7 +33,7 @@ struct KnownAttr {
 // Attributes that affect results are not in this table but are attributes of
 // the ops themselves; docs/decisions/0028-ir-level.md lists both kinds.
 static constexpr KnownAttr kKnown[] = {
-    // Written by users, or on functions of other dialects.
+    // Attributes that users write, or that are on functions of other dialects.
     {"tai.adjoint", Kind::Symbol, true},
     {"tai.check_updates", Kind::Unit, true},
     {"tai.conventions", Kind::Any, true},
@@ -45,7 +45,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.split", Kind::Any, true},
     {"tai.tangent", Kind::Symbol, true},
     {"tai.saved", Kind::Any},
-    // Without one of these, the program only gets slower.
+    // Attributes that only make a program faster.
     {"tai.access_group", Kind::Any},
     {"tai.accesses", Kind::Numbers},
     {"tai.active", Kind::Unit},
@@ -55,12 +55,12 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.index_bits", Kind::Integer},
     {"tai.interior", Kind::Numbers},
     {"tai.tiles", Kind::Any},
-    // The meaning of the program does not depend on these.
+    // Attributes on which the meaning of a program does not depend.
     {"tai.accumulate", Kind::Register},
     {"tai.adjoint_branch", Kind::Unit},
     {"tai.guard", Kind::Unit},
     {"tai.guard_infinite", Kind::Unit},
-    // Set and read by one pass.
+    // Attributes that a single pass sets and reads.
     {"tai.alignment", Kind::Integer},
     {"tai.device_slot", Kind::Unit},
     {"tai.keeps_order", Kind::Unit},
@@ -85,7 +85,7 @@ StringAttr tai::getFunctionAttrName(Operation *op, StringRef name) {
                            : StringAttr::get(op->getContext(), "tai." + name);
 }
 
-/// The only attribute of function arguments.
+/// Name of the only discardable attribute of function arguments.
 static constexpr StringLiteral kElementRank = "tai.element_rank";
 
 static bool isOfKind(Attribute attr, Kind kind) {
@@ -202,7 +202,8 @@ LogicalResult tai::verifyDiscardableAttr(Operation *op,
     return op->emitError(
         "'tai.split' stands beside 'tai.differentiate', and is "
         "a unit attribute until the functions are made");
-  // Kernels have gradients without this attribute.
+  // `tai.gradients` needs `tai.differentiate`, except on kernels, which have
+  // gradients without it.
   if (name == "tai.gradients" && !op->hasAttr("tai.differentiate"))
     return op->emitError(
         "has 'tai.gradients', but not 'tai.differentiate', so that no gradient "

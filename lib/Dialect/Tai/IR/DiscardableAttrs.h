@@ -12,7 +12,8 @@
 
 namespace mlir::tai {
 
-/// A former name of an inherent kernel attribute, from when it was discardable.
+/// An inherent attribute of kernels and the name that it had when it was
+/// discardable.
 struct RenamedAttr {
   llvm::StringLiteral old, name;
 };
@@ -20,9 +21,10 @@ struct RenamedAttr {
 /// name to the new name; elsewhere, the verifier rejects it.
 llvm::ArrayRef<RenamedAttr> getRenamedKernelAttrs();
 
-/// Checks an attribute `tai.*` of an op of any dialect.
+/// Verifies a discardable attribute `tai.*` on an op of any dialect.
 LogicalResult verifyDiscardableAttr(Operation *op, NamedAttribute attribute);
-/// Checks a `tai.*` attribute of an argument or of a result of a function.
+/// Verify a discardable attribute `tai.*` of an argument, or of a result, of a
+/// function.
 LogicalResult verifyArgumentAttr(Operation *op, unsigned index,
                                  NamedAttribute attribute);
 LogicalResult verifyResultAttr(Operation *op, unsigned index,

@@ -103,7 +103,8 @@ uint64_t tai::getPlaceOffset(PlacesType places, unsigned index,
   return offset;
 }
 
-/// Blocks at the root start on cache lines, so that arrays do not share one.
+/// The children of the root are aligned to cache lines, so that two arrays do
+/// not share a line.
 static constexpr uint64_t kCacheLine = 64;
 
 /// The total size of the cells of a tree.
@@ -125,8 +126,8 @@ SNodeTypeInterface PlacePath::getFirstSparse() const {
   return {};
 }
 
-/// Goes one level down, to `level`, which is child number `child` of the
-/// current level.
+/// Extends a path by one level: `level`, which is child number `child` of the
+/// path's last level.
 static void enter(PlacePath &path, SNodeTypeInterface level, unsigned child) {
   path.levels.push_back({level, child});
   for (auto [axis, extent] : llvm::zip(level.getAxes(), level.getShape())) {
@@ -306,8 +307,8 @@ void TreeLayout::addSteps(SNodeTypeInterface level, SparseNode &node) {
     else
       node.steps.push_back({extent, stride});
   }
-  // The last stride must be the size of a cell, which is what zeroing a cell
-  // uses.
+  // The stride of the last step must be the size of a cell, because zeroing a
+  // cell relies on it.
   uint64_t size = level.getCellSize(dataLayout);
   if (node.steps.back().stride != size)
     node.steps.push_back({1, size});
@@ -411,8 +412,8 @@ FieldStorage TreeLayout::getFieldStorage(const FieldLayout &layout) {
   if (isSparse)
     (void)getSparseNodes();
 
-  // For each axis: the number of cells below the current level, and in all
-  // levels.
+  // For each axis: the number of cells along it below the current level, and in
+  // all levels together.
   SmallVector<int64_t> below(kMaxAxes, 1), whole(kMaxAxes, 1);
   for (auto [axis, extent] : llvm::zip(path.axes, path.shape))
     below[axis] = whole[axis] = extent;

@@ -13,8 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// An attribute of functions of the LLVM dialect: names, and pairs of a name
-/// and a value.
+/// Name of an attribute of LLVM dialect functions: a list of names, and of
+/// pairs of a name and a value, that become attributes of the LLVM function.
 static constexpr StringLiteral kPassthrough = "passthrough";
 static constexpr StringLiteral kPassedName = "tai.modes";
 
@@ -49,7 +49,8 @@ static constexpr Word<MathMode> kMath[] = {
 };
 static constexpr Word<bool> kSwitch[] = {{"false", false}, {"true", true}};
 
-/// Calls `visit` with the name, the value and the words of each mode.
+/// Calls `visit` with the name of each mode, its value in `modes`, and the
+/// words that it can have.
 template <typename ModesT, typename Visitor>
 static void forEachMode(ModesT &modes, Visitor visit) {
   visit(StringRef("precision"), modes.precision, ArrayRef(kPrecisions));
@@ -58,7 +59,8 @@ static void forEachMode(ModesT &modes, Visitor visit) {
   visit(StringRef("ftz"), modes.ftz, ArrayRef(kSwitch));
 }
 
-/// False if there is no such mode, or the mode has no such word.
+/// Sets the mode `name` to the word `text`. False if there is no such mode, or
+/// the mode has no such word.
 static bool readWord(Modes &modes, StringRef name, StringRef text) {
   bool isRead = false;
   forEachMode(modes, [&](StringRef mode, auto &value, auto words) {
@@ -72,7 +74,7 @@ static bool readWord(Modes &modes, StringRef name, StringRef text) {
   return isRead;
 }
 
-/// The names of the modes that are set, with their words.
+/// For each mode that is set in `modes`: its name and its word.
 static SmallVector<std::pair<StringRef, StringRef>>
 getWords(const Modes &modes) {
   SmallVector<std::pair<StringRef, StringRef>> result;
@@ -88,8 +90,8 @@ getWords(const Modes &modes) {
 // On kernels
 //===----------------------------------------------------------------------===//
 
-/// The word, if the entry has the attribute type of that mode: a boolean or a
-/// string.
+/// The word of a mode's attribute `entry`; none if the attribute does not have
+/// the type that the mode requires, a boolean or a string.
 static std::optional<StringRef> getText(NamedAttribute entry) {
   bool isSwitch = entry.getName() == "ftz";
   if (auto on = dyn_cast<BoolAttr>(entry.getValue()); on && isSwitch)
@@ -132,10 +134,11 @@ LogicalResult tai::verifyModes(Operation *kernel, DictionaryAttr modes) {
 }
 
 //===----------------------------------------------------------------------===//
-// On functions of the LLVM dialect
+// Modes of functions of the LLVM dialect
 //===----------------------------------------------------------------------===//
 
-/// The value of the `tai.modes` entry in `passthrough`, if there is one.
+/// The value of `tai.modes` in the function's attribute `passthrough`, if
+/// present.
 static std::optional<StringRef> getPassed(Operation *function) {
   auto entries = function->getAttrOfType<ArrayAttr>(kPassthrough);
   if (!entries)

@@ -18,7 +18,7 @@ static constexpr StringLiteral kPassthrough = "passthrough";
 static constexpr StringLiteral kLowered = "tai.lowered";
 
 bool tai::isTaiOp(Operation *op) {
-  // By name: the dialect of the op need not be loaded.
+  // Compare the name of the op's dialect, which need not be loaded.
   StringRef dialect = op->getName().getDialectNamespace();
   return dialect == "tai" || dialect == "tai_rt" || dialect == "tai_check";
 }
@@ -91,7 +91,7 @@ llvm::SetVector<Operation *> tai::collectLowered(ModuleOp module) {
   for (Operation &op : *module.getBody())
     if (isTaiCode(&op))
       lowered.insert(&op);
-  // Add callers of callers until there are no more.
+  // Repeat until no further callers are found.
   for (bool grown = true; grown;) {
     grown = false;
     for (auto function : module.getOps<func::FuncOp>()) {
@@ -147,7 +147,7 @@ void tai::walkOwned(Operation *root,
   Operation *function = root;
   if (!isa<FunctionOpInterface>(root))
     function = root->getParentOfType<FunctionOpInterface>();
-  // Do not enter modules inside functions.
+  // `root` may be inside of a function: do not enter modules nested there.
   if (function && !root->hasTrait<OpTrait::SymbolTable>()) {
     if (belongsToTai(function))
       action(root);

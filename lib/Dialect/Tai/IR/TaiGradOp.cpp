@@ -11,8 +11,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether values of the type have derivatives: floats, and vectors and memrefs
-/// of floats.
+/// Whether values of `type` can have derivatives: floats, and vectors and
+/// memrefs of floats.
 static bool hasDerivative(Type type) {
   if (auto memref = dyn_cast<MemRefType>(type))
     type = memref.getElementType();
@@ -111,8 +111,8 @@ LogicalResult GradOp::verifySymbolUses(SymbolTableCollection &symbols) {
     auto memref = dyn_cast<MemRefType>(inputs[i]);
     if (!memref)
       continue;
-    // The gradient has the dimensions of the vectors as dimensions of the
-    // array.
+    // The gradient of an array of vectors is an array of scalars: the
+    // dimensions of the vectors become dimensions of the array.
     Type element = memref.getElementType();
     SmallVector<int64_t> shape(memref.getShape());
     if (auto vector = dyn_cast<VectorType>(element))

@@ -115,8 +115,8 @@ LogicalResult KernelOp::verify() {
   if (DictionaryAttr modes = getModesAttr();
       modes && failed(verifyModes(*this, modes)))
     return failure();
-  // (kernel_c1) A body parsed in the generic form may end in any op, or be
-  // empty.
+  // (kernel_c1) A body that was parsed in the generic form of the op possibly
+  // ends in another op, or is empty.
   Block &block = getBody().front();
   if (block.empty() || !isa<ReturnOp>(block.back()))
     return emitOpError("expects a body that ends with 'tai.return'");
@@ -150,7 +150,8 @@ LogicalResult YieldOp::verify() {
 // ParallelForOp
 //===----------------------------------------------------------------------===//
 
-/// Adds the body block with `rank` indices and its terminator.
+/// Adds a body to a loop op: a block with `rank` indices as arguments, and its
+/// terminator.
 static void addBody(OpBuilder &builder, OperationState &state, size_t rank) {
   OpBuilder::InsertionGuard guard(builder);
   Region *region = state.addRegion();

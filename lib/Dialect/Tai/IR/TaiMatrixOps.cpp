@@ -15,7 +15,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Checks that `type` is square with a size in [low, high].
+/// Checks that the matrix type `type` is square and has between `low` and
+/// `high` rows.
 static LogicalResult verifySquare(Operation *op, Type type, int64_t low,
                                   int64_t high) {
   auto matrix = cast<VectorType>(type);
@@ -29,7 +30,8 @@ static LogicalResult verifySquare(Operation *op, Type type, int64_t low,
   return diag << ", but got " << type;
 }
 
-/// Checks that the result has the given shape and the operand's element type.
+/// Checks that the result of `op` has the given shape, and the element type of
+/// `operand`.
 static LogicalResult verifyResult(Operation *op, ArrayRef<int64_t> shape,
                                   VectorType operand) {
   auto expected = VectorType::get(shape, operand.getElementType());

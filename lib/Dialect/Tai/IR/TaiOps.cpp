@@ -92,8 +92,8 @@ static void printFieldClauses(OpAsmPrinter &printer, FieldOp,
 // TreeOp, FieldOp
 //===----------------------------------------------------------------------===//
 
-/// The size of the contents of a tree's cells in bytes, without padding;
-/// saturates at the largest number.
+/// The size in bytes of all cells of the level `type`, without padding; the
+/// largest number if the size overflows.
 static uint64_t countBytes(Type type, const DataLayout &layout) {
   uint64_t bytes = 0;
   if (auto places = dyn_cast<PlacesType>(type)) {
@@ -145,8 +145,8 @@ static LogicalResult verifyCells(TreeOp tree, ArrayRef<Type> children,
 LogicalResult TreeOp::verify() {
   auto root = cast<RootType>(getLayout());
   DataLayout layout = DataLayout::closest(*this);
-  // Offsets are 64-bit numbers; half of their range is left for alignment and
-  // for the data of sparse levels beside their cells.
+  // Half of the range of 64-bit offsets is left for alignment, and for data
+  // that sparse levels keep beside their cells.
   uint64_t bytes = 0;
   for (Type child : root.getChildren())
     bytes = llvm::SaturatingAdd(bytes, countBytes(child, layout));
@@ -205,7 +205,7 @@ static LogicalResult verifyRelatedField(FieldOp field,
   return diag;
 }
 
-/// True if the field is the first one in its block.
+/// True if no other field precedes `field` in its block.
 static bool isFirstField(FieldOp field) {
   for (Operation *op = field->getPrevNode(); op; op = op->getPrevNode())
     if (isa<FieldOp>(op))
@@ -275,7 +275,8 @@ static LogicalResult verifyApart(Block &fields) {
 }
 
 LogicalResult FieldOp::verifySymbolUses(SymbolTableCollection &symbols) {
-  // (field_c1), (field_c2). Check all fields at once: there may be thousands.
+  // (field_c1), (field_c2). The first field of a block checks all fields of the
+  // block at once: there may be thousands.
   if (isFirstField(*this) && failed(verifyApart(*(*this)->getBlock())))
     return failure();
   auto tree = symbols.lookupNearestSymbolFrom<TreeOp>((*this)->getParentOp(),
@@ -506,8 +507,8 @@ Speculation::Speculatability LoadOp::getSpeculatability() {
 // Topology
 //===----------------------------------------------------------------------===//
 
-/// The level `up` levels up from the place of a field; 1 is the innermost
-/// level.
+/// The level of the tree that is `up` levels above the place of `field`; 1 is
+/// the innermost level.
 static SNodeTypeInterface getLevelAbove(FieldOp field, int64_t up) {
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   if (failed(layout) || up > static_cast<int64_t>(layout->path.levels.size()))
@@ -647,7 +648,8 @@ LogicalResult LaunchOp::verifySymbolUses(SymbolTableCollection &symbols) {
   return diag;
 }
 
-/// Checks that `name` is a 0-D scalar float field with an adjoint.
+/// Checks that the field `name` can be a loss: a scalar of a float type,
+/// without dimensions, and with an adjoint.
 static LogicalResult verifyLoss(Operation *op, FlatSymbolRefAttr name,
                                 SymbolTableCollection &symbols) {
   FieldOp field = lookupOrError(op, name, symbols);

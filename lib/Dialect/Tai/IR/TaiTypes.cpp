@@ -37,7 +37,7 @@ void TaiDialect::registerTypes() {
 // Syntax
 //===----------------------------------------------------------------------===//
 
-/// Parses `i: 8`, an axis and a positive extent.
+/// Parses an axis and its positive extent, for example `i: 8`.
 static ParseResult parseAxisExtent(AsmParser &parser, unsigned &axis,
                                    int64_t &extent) {
   StringRef letter;
@@ -163,7 +163,8 @@ void tai::printLevelChildren(AsmPrinter &printer, ArrayRef<Type> children) {
   }
 }
 
-/// Parses `<[i: 8], child, …>` for the levels that share this form.
+/// Parses the parameters of a level, for example `<[i: 8], child>`, for all
+/// levels that have this form.
 template <typename Level> static Type parseLevel(AsmParser &parser) {
   SmallVector<unsigned> axes;
   SmallVector<int64_t> shape;
@@ -338,7 +339,7 @@ LogicalResult RootType::verify(EmitError emitError, ArrayRef<Type> children) {
   return verifyChildren(emitError, children);
 }
 
-/// True for the types that a place can hold.
+/// True if a place of a tree can hold elements of `type`.
 static bool isPlaceElementType(Type type) {
   if (auto vector = dyn_cast<VectorType>(type)) {
     if (vector.isScalable() || vector.getRank() < 1 || vector.getRank() > 2)

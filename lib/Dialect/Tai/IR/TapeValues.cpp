@@ -59,7 +59,7 @@ private:
 
   Operation *tape;
   SymbolTableCollection &symbols;
-  /// The region of the tape, and the functions called in it.
+  /// The tape op, and the functions that are called in its region.
   llvm::SetVector<Operation *> scopes;
   DenseMap<OpOperand *, SmallVector<Value, 2>> targets;
   DenseMap<Operation *, SmallVector<Operation *>> callers;
@@ -153,7 +153,8 @@ void TapeValues::collect() {
       });
 }
 
-/// True if the result does not depend continuously on the operands.
+/// True for an op through which no derivative passes, because its result does
+/// not depend continuously on its operands.
 static bool isCut(Operation *op) {
   StringRef name = op->getName().getStringRef();
   return isa<StopGradientOp>(op) || name == "arith.cmpf" ||
@@ -217,7 +218,7 @@ LogicalResult TapeValues::verifyUses() {
   return success();
 }
 
-/// Whether a loop inside the tape contains both ops.
+/// Whether some loop inside of `tape` contains both ops.
 static bool shareLoop(Operation *lhs, Operation *rhs, Operation *tape) {
   for (Operation *loop = lhs->getParentOp(); loop && loop != tape;
        loop = loop->getParentOp())
@@ -226,7 +227,8 @@ static bool shareLoop(Operation *lhs, Operation *rhs, Operation *tape) {
   return false;
 }
 
-/// A store is allowed if no launch has accessed the field: it could as well be
+/// Rejects stores of the host to a field after a launch of the tape has
+/// accessed it. An earlier store is allowed, because it could as well be made
 /// before the tape.
 LogicalResult TapeValues::verifyStores() {
   for (Operation *scope : scopes)
@@ -242,7 +244,8 @@ LogicalResult TapeValues::verifyStores() {
         for (LaunchOp launch : launches) {
           if (!getNames(launch.getKernelAttr()).contains(name))
             continue;
-          // A pre-order walk: code that precedes in the text runs earlier.
+          // An op runs after another op if it comes later in their common
+          // block, or if both are in a loop.
           Operation *common =
               region.findAncestorOpInRegion(*launch.getOperation());
           Operation *own = region.findAncestorOpInRegion(*op);

@@ -39,7 +39,8 @@ bool isLongList(StringRef text, char begin, char end) {
          list.count(',') >= kMostDimensions;
 }
 
-/// Whether a whole map or set is too long; `text` begins after its keyword.
+/// Whether an affine map or set is too long; `text` begins after its keyword
+/// `affine_map` or `affine_set`.
 bool isLongMap(StringRef text) {
   text = text.ltrim();
   if (!text.consume_front("<"))
@@ -96,8 +97,8 @@ private:
                      .Case("]", '[')
                      .Case("}", '{')
                      .Default('<');
-    // A bracket without a match is a syntax error, or part of an arrow or a
-    // comparison.
+    // Ignore a closing bracket without a match: it is a syntax error, or part
+    // of an arrow or a comparison.
     if (!open.empty() && open.back().bracket == first)
       open.pop_back();
   }
@@ -123,7 +124,8 @@ private:
 
 void Scanner::skipComment() {
   size_t end = std::min(text.find('\n', at), text.size());
-  // Parts of a text that tools split are independent of each other.
+  // At a separator `// -----`, forget brackets and aliases: tools split a text
+  // there, and the parts are independent.
   if (text.slice(at, end).starts_with("// -----")) {
     open.clear();
     aliases.clear();
