@@ -69,8 +69,7 @@ evaluateOnLaunch(const IndexExpr &form, size_t dimension,
   return fixed;
 }
 
-/// Of an access's indices, those that are sums of constants and integer
-/// arguments.
+/// The indices of an access that are sums of constants and integer arguments.
 static std::vector<runtime::FixedIndex>
 getFixedIndices(ValueRange indices, const ArgumentSlots &slots) {
   std::vector<runtime::FixedIndex> found;

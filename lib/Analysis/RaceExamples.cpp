@@ -378,7 +378,7 @@ private:
         int64_t factor = index.getCoefficient(unknown);
         IndexExpr rest = wanted;
         rest.add(index, -1).add(IndexExpr(unknown), factor);
-        // Not solvable if what remains besides this term contains the unknown,
+        // The equation cannot be solved if the rest of it contains the unknown,
         // for example in a quotient.
         if (factor == 0 || !rest.isConstant())
           continue;

@@ -100,7 +100,7 @@ typedef struct TaiShadowSite {
   void *site;   // the log's entry for the site
 } TaiShadowSite;
 
-/// What one run of a function counts for one TaiShadowSite.
+/// The counts of one TaiShadowSite in one run of a function.
 typedef struct TaiShadowCount {
   int64_t lost;
   int64_t cancellations;

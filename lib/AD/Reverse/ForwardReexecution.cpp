@@ -82,7 +82,7 @@ void Slice::find(llvm::function_ref<bool(Operation *)> matters) {
     for (Region &region : op->getRegions())
       for (Block &block : region)
         markLive(block.getTerminator());
-    // Of an array that is allocated within the block, all accesses are
+    // If an array is allocated within the block, all accesses to it are
     // repeated.
     if (auto access = dyn_cast<DifferentiableAccessInterface>(op))
       if (Value array = access.getAccessedStorage().memref)

@@ -488,8 +488,8 @@ void ProgramBuilder::addChain(const runtime::ProgramLoopStep &step) {
   for (const runtime::ProgramSlot &slot : step.slots)
     slots.push_back(getParameter(slot));
   TileBuilder tiles(builder, chain, bodies, overlays, plan.threads, isCuda);
-  // Wait for all threads of the block: some may still be using what the overlay
-  // held before.
+  // Wait for all threads of the block: some may still be using the previous
+  // contents of the overlay.
   builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
   tiles.emitLoads(slots);
   llvm::Type *i32 = builder.getInt32Ty(), *pointer = builder.getPtrTy();

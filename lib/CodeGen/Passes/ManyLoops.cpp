@@ -394,8 +394,8 @@ bool mlir::tai::divideManyLoops(Module &module, ManyLoopsLimits limits) {
     if (!divider.divide())
       continue;
     changed = true;
-    // What remains of the function, and the new functions, possibly have chains
-    // of loops that are still too long.
+    // The rest of the function, and the new functions, possibly have chains of
+    // loops that are still too long.
     all.push_back(function);
     append_range(all, divider.getMade());
   }

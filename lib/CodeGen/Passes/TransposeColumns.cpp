@@ -153,7 +153,7 @@ public:
   }
 
 private:
-  /// What identifies a matrix: its rows, and the vector type of a column.
+  /// Identifies a matrix by its rows and by the vector type of a column.
   using Matrix = std::pair<Rows, FixedVectorType *>;
 
   bool replaceAll(Intrinsic::ID id);

@@ -324,9 +324,8 @@ private:
     bool isWhole = noteOther();
     return flush(isWhole || collecting > 0);
   }
-  /// Notes work that is neither a launch nor a fill, and so ends what can be
-  /// collected. Returns whether the recording so far equals a complete known
-  /// recording.
+  /// Tells the recording of work other than launches and fills. Returns whether
+  /// the recording so far equals a complete known recording.
   bool noteOther();
   Status launchRecorded(Function &function, const LaunchShape &shape,
                         const uint64_t *slots, int count);
