@@ -49,13 +49,14 @@ constexpr uint32_t formatVersion = 1;
 constexpr char suffix[] = ".tai";
 constexpr char temporaryPrefix[] = ".tmp-";
 constexpr char lockPrefix[] = ".lock-";
-/// A file with the time of the last look through the folder, and a byte for
-/// each `journalUnit` bytes that were stored since: processes append to it
-/// without a lock.
+/// The journal, a file of the cache folder: the time when the folder was last
+/// searched for entries to prune, then a byte for each `journalUnit` bytes
+/// stored since. Processes append to it without a lock.
 constexpr char journalName[] = ".stored";
 constexpr int64_t journalUnit = 4096;
 constexpr int64_t journalLife = 24 * 3600; // seconds
-/// More than any code has; a file whose header says more is not an entry.
+/// An upper bound for the size of an entry, above that of any compiled code: a
+/// file whose header says more is not an entry.
 constexpr uint64_t mostEntryBytes = uint64_t(1) << 31;
 /// Files that a killed process left behind are older than this (seconds).
 constexpr time_t temporaryLife = 3600;
@@ -123,7 +124,8 @@ bool makeFolders(const std::string &path) {
     at = path.find('/', at);
     std::string part = path.substr(0, at);
     if (mkdir(part.c_str(), 0700) != 0 && errno != EEXIST && errno != EISDIR) {
-      // A folder above may exist without being writable.
+      // mkdir can also fail for a folder that exists but cannot be written to;
+      // only a missing folder is an error.
       int why = errno;
       struct stat info;
       if (stat(part.c_str(), &info) != 0) {
@@ -292,7 +294,8 @@ std::optional<std::string> CacheStore::readEntry(const std::string &name,
       (key ? storedKey != *key : fileName(storedKey) != name))
     return std::nullopt;
   broken = false;
-  // The time of last use, for pruning; a minute's precision will do.
+  // The modification time stands for the time of last use, for pruning; a
+  // precision of a minute suffices.
   if (info.st_mtime + 60 < time(nullptr))
     (void)futimens(file.number, nullptr);
   return content.substr(header.keyBytes);
@@ -381,7 +384,8 @@ bool CacheStore::put(std::string_view key, std::string_view bytes) {
   return true;
 }
 
-/// Adds to the journal, and returns whether to look through the folder.
+/// Counts `bytes` in the journal; returns whether the folder should now be
+/// searched for entries to prune.
 bool CacheStore::noteStored(int64_t bytes) {
   bytesSincePrune += bytes;
   Descriptor file(openat(folderDescriptor, journalName,
@@ -403,7 +407,7 @@ bool CacheStore::noteStored(int64_t bytes) {
          counted * journalUnit > maxBytes / 16;
 }
 
-/// Puts an empty journal in the place of the last one.
+/// Replaces the journal by an empty one.
 void CacheStore::beginJournal() {
   removeFrom(folderDescriptor, journalName);
   Descriptor file(openat(folderDescriptor, journalName,
@@ -427,8 +431,8 @@ public:
       : folder(folder), name(std::move(name)), file(file) {}
   ~LockedFile() {
     unlinkat(folder, name.c_str(), 0);
-    // Closing is not enough: a child that was forked meanwhile has the file
-    // open, too.
+    // Unlock explicitly: a child that was forked meanwhile also has the file
+    // open, which would keep the lock after close().
     flock(file, LOCK_UN);
     close(file);
     close(folder);
@@ -450,7 +454,8 @@ CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds,
   using Clock = std::chrono::steady_clock;
   auto end = Clock::now() + std::chrono::duration<double>(mostSeconds);
   std::string name = lockPrefix + fileName(key);
-  // Short at first: another process makes most code in a few milliseconds.
+  // The first pause is short, as another process makes most code in a few
+  // milliseconds.
   auto pause = std::chrono::microseconds(500);
   while (true) {
     Descriptor file(openat(folderDescriptor, name.c_str(),
@@ -476,8 +481,8 @@ CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds,
     }
     if (!isLocked || fstat(file.number, &info) != 0)
       return nullptr;
-    // The former owner has removed the file that is now locked: the next claim
-    // locks another file.
+    // The former owner has unlinked the file that is now locked, and other
+    // processes will lock a new file of that name: try again.
     if (info.st_nlink == 0) {
       if (Clock::now() >= end)
         return nullptr;
@@ -604,7 +609,8 @@ void CacheStore::prune() {
                                           : a.used.tv_nsec < b.used.tv_nsec;
   });
   int64_t removed = 0;
-  // A little room, so that the next entry does not prune again.
+  // Prune to 7/8 of the limit, so that storing the next entry does not prune
+  // again.
   for (const Entry &entry : entries) {
     if (total <= maxBytes - maxBytes / 8)
       break;

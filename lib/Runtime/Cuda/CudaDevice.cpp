@@ -26,8 +26,8 @@ uint64_t CudaDevice::getNextIdentity() {
   return ++last;
 }
 
-/// Whether a kernel has accessed memory that it should not have: with compiled
-/// code, these results have no other cause.
+/// Whether `result` means that a kernel has accessed memory out of bounds, the
+/// only cause of these error codes in compiled kernels.
 static bool isFault(Result result) {
   return result == kIllegalAddress ||
          (result >= kHardwareStackError && result <= kLaunchFailed);
@@ -47,7 +47,8 @@ Status CudaDevice::failure(Result result, const char *what) const {
 
 static Status noDevice(const std::string &why) {
   std::string message = "no CUDA device: " + why;
-  // The usual reason if the machine has a device.
+  // If the machine has a GPU, CUDA_VISIBLE_DEVICES is the usual reason why none
+  // is found.
   if (const char *visible = std::getenv("CUDA_VISIBLE_DEVICES"))
     message += "; the environment variable CUDA_VISIBLE_DEVICES is '" +
                std::string(visible) + "', which hides all others";
@@ -123,7 +124,8 @@ Status CudaDevice::open() {
   (void)cu.deviceGetAttribute(&clusters, kClusterLaunch, number);
   most.hasGraphs = true;
   most.hasGridBarriers = cooperative != 0;
-  // The maximum of Hopper; a kernel must ask for more than 8.
+  // A cluster has at most 16 blocks on Hopper; a kernel must opt in to more
+  // than 8.
   most.mostClusterBlocks = clusters ? 16 : 1;
   // Devices with clusters also have programmatic dependent launch.
   most.hasOverlaps = clusters != 0;
@@ -178,7 +180,8 @@ Status CudaDevice::setHeap(size_t memoryBytes) {
       wanted ? wanted : std::min<size_t>(memoryBytes / 32, size_t(4) << 30);
   Result result = cu.ctxSetLimit(kLimitHeapBytes, bytes);
   size_t known = 0;
-  // After the first use, the size cannot be changed.
+  // The heap cannot be resized after a kernel has used it; a heap that is large
+  // enough stays.
   if (result == kSuccess || !wanted ||
       (cu.ctxGetLimit(&known, kLimitHeapBytes) == kSuccess && known >= wanted))
     return Status::success();
@@ -243,7 +246,8 @@ Status CudaDevice::allocate(int64_t bytes, DevicePtr &memory) {
   Address address = 0;
   status = allocateOnce(bytes, address);
   if (status.code() == StatusCode::Memory && pool) {
-    // The memory of the pool may be in pieces that are too small.
+    // The free memory of the pool can be fragmented: return it to the driver
+    // and try again.
     (void)cu.streamSynchronize(stream);
     (void)cu.memPoolTrimTo(pool, 0);
     status = allocateOnce(bytes, address);
@@ -318,7 +322,8 @@ Status CudaDevice::copyIn(DevicePtr to, const void *from, int64_t bytes) {
   if (bytes > largestStaged || entry.isAgain()) {
     status = check(cu.memcpyHtoDAsync(to, from, size, stream),
                    "a copy to the device fails");
-    // If `from` is pinned memory, the device has not read it yet.
+    // If `from` is pinned memory, the call returns before the device has read
+    // it: wait.
     return status ? synchronize() : std::move(status);
   }
   int64_t room = (bytes + 63) / 64 * 64;

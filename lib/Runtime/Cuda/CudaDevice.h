@@ -35,10 +35,11 @@ struct CudaFunction : DeviceFunction {
   std::unique_ptr<RepeatedLaunch> repeated;
 };
 
-/// The capture of a graph.
+/// The state of a graph capture on the device's stream.
 struct GraphCapture {
   bool isOpen = false;
-  /// Whether the runtime's own kernels overlap in the graph.
+  /// Whether the runtime's own kernels, which copy and fill memory, are
+  /// captured with programmatic dependent launch.
   bool overlaps = false;
 };
 
@@ -151,8 +152,8 @@ private:
                           void **parameters);
   Status fillByKernel(const std::vector<const DeviceFill *> &fills);
   Status fillAlone(const DeviceFill &fill);
-  /// Whether the runtime's own kernels are launched with programmatic dependent
-  /// launch now.
+  /// Whether the runtime's own kernels, which copy and fill memory, use
+  /// programmatic dependent launch now: only within a capture that allows it.
   bool doesOverlap() const { return capture.isOpen && capture.overlaps; }
 
   /// Small copies go through pinned host memory.
@@ -168,7 +169,8 @@ private:
   bool isAfterKernel = false;
   /// A second stream, for a branch of a graph, or null.
   Stream side = nullptr;
-  /// The state of the branch that has not been joined to the graph yet.
+  /// The branch of the captured graph that is recorded on `side`: none, being
+  /// captured, or captured and not joined to the main branch yet.
   enum class Branch { None, Capturing, Captured };
   Branch branch = Branch::None;
   Pool pool = nullptr;
@@ -199,7 +201,8 @@ private:
   uint32_t *stopSource = nullptr;
   std::mutex stopMutex;
 
-  /// For ordering streams; created on first use.
+  /// The event that orders the device's stream with streams of other libraries;
+  /// created on first use.
   std::mutex orderMutex;
   Event orderEvent = nullptr;
 
@@ -218,7 +221,8 @@ struct CudaGraph : DeviceGraph {
     if (recorded)
       (void)device.cu.graphDestroy(recorded);
   }
-  /// Finds the nodes of the first `count` launches, which are sequential.
+  /// Finds the nodes of the first `count` launches in the captured graph, where
+  /// these launches form a chain.
   void findNodes(size_t count);
 
   CudaDevice &device;

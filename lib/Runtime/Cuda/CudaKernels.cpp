@@ -46,7 +46,8 @@ Status CudaKernels::load() {
 
 static constexpr uint64_t rowUnitBytes[] = {1, 4, 8, 16};
 
-/// The index in rowUnitBytes of the largest unit that divides all numbers.
+/// The index in rowUnitBytes of the largest copy unit that divides each of
+/// `numbers`.
 static int findUnit(std::initializer_list<uint64_t> numbers) {
   int unit = 3;
   for (uint64_t number : numbers)

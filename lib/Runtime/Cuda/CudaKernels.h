@@ -28,11 +28,11 @@ public:
   /// Loads the kernels. Not done on first use, which may be during a graph
   /// capture.
   Status load();
-  /// Call while the device can still be used.
+  /// Unloads the kernels; call while the device can still be used.
   void unload() { module.reset(); }
 
-  /// Runs a kernel on two sets of rows. `overlaps`: with programmatic dependent
-  /// launch.
+  /// Runs a copy or swap kernel on the rows `one` and equally many rows from
+  /// address `other` on. `overlaps`: with programmatic dependent launch.
   Status runPairs(Kernel kernel, const DeviceRows &one, DevicePtr other,
                   int64_t otherStep, bool overlaps);
   /// Runs all fills, with at most `mostBlocks` blocks; if that is 0, as many as
@@ -52,7 +52,7 @@ private:
   std::unique_ptr<DeviceModule> module;
   DeviceFunction *rows[kUnits][2] = {};
   DeviceFunction *filler = nullptr;
-  /// The number of blocks of `filler` that can be resident.
+  /// The number of blocks of the fill kernel that can be resident.
   unsigned fillBlocks = 1;
 };
 

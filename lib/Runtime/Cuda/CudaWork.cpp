@@ -93,8 +93,8 @@ Status CudaDevice::load(const DeviceImage &image,
       module = std::move(loaded);
       return status;
     }
-    // Machine code from the cache may belong to another driver; the text below
-    // runs on all of them.
+    // Cached machine code may be for another driver; the PTX, loaded below,
+    // runs on all drivers.
     loaded->handle = nullptr;
   }
   constexpr unsigned logBytes = 16 << 10;
@@ -474,7 +474,7 @@ Status CudaDevice::synchronize() {
 }
 
 //===----------------------------------------------------------------------===//
-// The order of our stream and others
+// The order of the device's stream and streams of other libraries
 //===----------------------------------------------------------------------===//
 
 // A launch that takes tensors of another library comes after the work that the

@@ -42,7 +42,8 @@ static Status load(const std::string &file, Driver &driver) {
                                (why ? why : "unknown error") +
                                "); install the NVIDIA driver, or use the CPU");
   }
-  // The version first: an old driver lacks functions.
+  // Check the version before the functions are looked up: an old driver lacks
+  // some.
   auto version =
       reinterpret_cast<Result (*)(int *)>(dlsym(library, "cuDriverGetVersion"));
   int found = 0;

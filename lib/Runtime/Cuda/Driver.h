@@ -77,7 +77,7 @@ constexpr int kFunctionAnyCluster = 14;
 constexpr unsigned kLaunchCooperative = 2;
 constexpr unsigned kLaunchCluster = 4;
 constexpr unsigned kLaunchOverlapped = 6;
-// Captures: calls of other threads are not restricted.
+// Capture mode: a graph capture does not restrict calls of other threads.
 constexpr int kCaptureThreadLocal = 1;
 // Kinds of nodes of graphs.
 constexpr int kNodeKernel = 0;
@@ -251,7 +251,8 @@ struct Driver {
   TAI_CUDA_FUNCTIONS(TAI_CUDA_MEMBER)
 #undef TAI_CUDA_MEMBER
 
-  /// "CUDA_ERROR_NO_DEVICE: no CUDA-capable device is detected".
+  /// Describes an error code, such as "CUDA_ERROR_NO_DEVICE: no CUDA-capable
+  /// device is detected".
   std::string describe(Result result) const;
 
   /// Loads the library, once for the process, and makes sure that it is new

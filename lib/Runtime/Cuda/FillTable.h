@@ -23,25 +23,26 @@
 
 typedef unsigned long long TaiFillSize;
 
-/// Entries of a table, threads of a block, and units of a tile that each thread
-/// stores.
+/// The number of entries of a fill table, of threads in a block of the fill
+/// kernel, and of units of a tile that each thread stores.
 enum { taiFillEntries = 16, taiFillThreads = 256, taiFillEach = 4 };
 
 /// The maximum number of bytes of a fill of several rows: its units are counted
 /// in 32 bits.
 static const TaiFillSize taiFillMostBytes = 0xf0000000;
 
-/// Rows of units, with some bytes before and after them.
+/// An entry of a fill table: rows of whole units, and for a single row also
+/// some bytes before and after the units.
 typedef struct {
-  /// The address of the first unit, aligned to its size.
+  /// The address of the first unit, a multiple of the unit's size.
   TaiFillSize address;
   /// The pattern that each row starts with and repeats.
   TaiFillSize pattern;
-  /// Number of units in total, and in a row.
+  /// The number of units of the fill in total, and in each row.
   TaiFillSize units, rowUnits;
   /// Number of rows in a group; strides of rows and of groups, in units.
   TaiFillSize rows, step, outerStep;
-  /// The number of tiles up to and including this entry.
+  /// The number of tiles of this entry and all entries before it.
   TaiFillSize end;
   /// The bytes of a unit: 1, 4, 8 or 16. For a single row, the number of bytes
   /// (below 16) before the first unit and after the last.

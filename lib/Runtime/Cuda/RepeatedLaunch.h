@@ -21,14 +21,14 @@
 
 namespace mlir::tai::runtime::cuda {
 
-/// The node parameters of a launch.
+/// The parameters of the graph node that makes this launch.
 inline KernelNodeParameters nodeOf(Function function, const LaunchShape &shape,
                                    void **parameters) {
   return {function,          {shape.blocks, 1, 1}, {shape.threads, 1, 1},
           shape.sharedBytes, parameters,           nullptr};
 }
 
-/// Launches of one function of a module.
+/// Queues repeated launches of one function of a module as updates of a graph.
 class RepeatedLaunch {
 public:
   explicit RepeatedLaunch(const Driver &driver) : cu(driver) {}

@@ -10,12 +10,13 @@
 
 using namespace mlir::tai::runtime;
 
-/// The number of trials of each size; the quickest trial of a size counts.
+/// The number of trials of each block size, of which the quickest counts.
 static constexpr size_t kRounds = 3;
 /// Launches between the last trial and the decision: as a rule, the device has
 /// finished the trials by then, so that no wait is needed.
 static constexpr size_t kLaunchesBetween = 8;
-/// Another size is chosen if its time is below this share of the usual size's.
+/// A block size replaces the default size if its time is below this share of
+/// the default's time.
 static constexpr double kGain = 0.97;
 
 bool BlockTrial::hasEnded() {
@@ -77,7 +78,7 @@ void BlockTrial::decide(Device &device) {
 Status BlockTrial::run(Device &device, int64_t iterations,
                        const std::function<Status(Size)> &launch) {
   std::unique_lock<std::mutex> lock(mutex);
-  // The first launch has one-time costs.
+  // The first launch of the function is not timed, since it has one-time costs.
   size_t number = launches++;
   size_t trials = kRounds * sizes.size();
   if (!isOver && number >= 1 && number <= trials)
@@ -90,11 +91,11 @@ Status BlockTrial::run(Device &device, int64_t iterations,
 }
 
 //===----------------------------------------------------------------------===//
-// From one process to the next
+// Results that are stored for later processes
 //===----------------------------------------------------------------------===//
 
-/// Does not contain the number of blocks that can be resident, which depends on
-/// the device.
+/// The text that stands for a block size in stored results; without the number
+/// of resident blocks, which depends on the device.
 static std::string describe(BlockTrial::Size size) {
   return std::to_string(size.threads) +
          (size.mostBlocks == BlockTrial::kAnyBlocks ? " any" : "");

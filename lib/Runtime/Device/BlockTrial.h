@@ -40,8 +40,8 @@ public:
   /// Launches over fewer iterations are not timed.
   static constexpr int64_t kLeastIterations = int64_t(1) << 20;
 
-  /// The first size is the default unless another is faster. `found` is called
-  /// with the result.
+  /// `sizes`: the candidates, of which the first is the default. `found` is
+  /// called with the size that is chosen.
   explicit BlockTrial(std::vector<Size> sizes,
                       std::function<void(Size)> found = nullptr)
       : sizes(std::move(sizes)), found(std::move(found)) {}
@@ -50,9 +50,9 @@ public:
   void choose(size_t size);
 
   bool hasEnded();
-  /// The best size known so far.
+  /// The chosen block size; the default size until the trials have ended.
   Size best();
-  /// Runs one launch: `launch` queues it with the size passed to it.
+  /// Makes one launch: calls `launch` with the block size to try or to use.
   Status run(Device &device, int64_t iterations,
              const std::function<Status(Size)> &launch);
 

@@ -32,14 +32,14 @@ uint64_t mlir::tai::runtime::deviceOutputBytes(const TaiDeviceState &state) {
 }
 
 namespace {
-/// The fields of a record of the device, decoded.
+/// The fields of a record that device code has written, decoded.
 struct Record {
   TaiDeviceRecord header;
   std::vector<uint64_t> slots;
   std::vector<int32_t> kinds, shapes;
   std::string text, where;
 
-  /// Returns false if the bytes are no record.
+  /// Decodes a record from `bytes`; returns false if they do not form one.
   bool parse(const char *bytes, uint64_t available);
   std::string format();
 
@@ -55,7 +55,8 @@ bool Record::parse(const char *bytes, uint64_t available) {
   if (header.bytes > available || header.bytes > TAI_DEVICE_RECORD_BYTES ||
       header.bytes % 8 || header.count < 0 || header.slots < 0)
     return false;
-  // Each number is below the limit of a record, so that the sum cannot wrap.
+  // Check that no size exceeds the limit of a record, so that their sum cannot
+  // wrap.
   constexpr uint64_t most = TAI_DEVICE_RECORD_BYTES;
   auto count = static_cast<uint64_t>(header.count);
   auto slotCount = static_cast<uint64_t>(header.slots);
@@ -89,8 +90,8 @@ bool Record::parse(const char *bytes, uint64_t available) {
   return components == slotCount;
 }
 
-/// Puts a byte count into the text. Only the first value, in messages of the
-/// device library, can be a byte count.
+/// Replaces the first placeholder of the text by the first value if that is a
+/// byte count, as in some messages of the device library.
 void Record::placeByteCounts() {
   if (kinds.empty() || kinds[0] != TAI_DEVICE_VALUE_BYTES || shapes[0] != 1)
     return;

@@ -51,7 +51,8 @@ static thread_local struct {
 } group = {};
 
 extern "C" int32_t tai_emu_begin_group(void) {
-  // `threads` is a power of two, so an odd step reaches each thread once.
+  // A group has a power of two of threads, so an odd step visits each thread
+  // once.
   constexpr int32_t threads = 4;
   group.before = place;
   group.next = group.number++;
@@ -81,7 +82,8 @@ using ThreadFunction = void (*)(const uint64_t *slots);
 
 struct EmulatedFunction : DeviceFunction {
   ThreadFunction run = nullptr;
-  /// Programs, whose code is for several blocks, run as one thread.
+  /// The most threads that a block of the function can have; 1 for programs,
+  /// whose code is for several blocks and runs as one thread.
   unsigned mostThreads = 1;
 };
 
@@ -109,7 +111,8 @@ public:
     DeviceLimits limits;
     limits.multiprocessors = 4;
     limits.memoryBytes = memoryBytes;
-    // Small, so that a test reaches the limit.
+    // Reserved memory is committed in small pieces, so that tests reach its
+    // limit.
     limits.reservedPieceBytes = 64 << 10;
     return limits;
   }
@@ -128,8 +131,8 @@ public:
                                                      formatBytes(bytes) +
                                                      " left");
     memory = reinterpret_cast<DevicePtr>(mapped);
-    // Garbage, since no code may rely on zeros. In a large allocation, only the
-    // start is filled.
+    // Fill new memory with garbage, since no code may rely on zeros; in a large
+    // allocation, only the start is filled.
     std::memset(mapped, 0xa5,
                 static_cast<size_t>(std::min<int64_t>(bytes, 16 << 20)));
     allocations.emplace(memory, bytes);
@@ -420,8 +423,8 @@ private:
            static_cast<uint64_t>(found->second);
   }
 
-  /// Fails for memory outside of the device's allocations, where a GPU would
-  /// fault.
+  /// Checks that the range lies in an allocation of the device, outside of
+  /// which a GPU would fault.
   Status check(DevicePtr memory, int64_t bytes) const {
     if (contains(memory, bytes))
       return Status::success();

@@ -22,7 +22,7 @@ unsigned mlir::tai::runtime::emulatedThreads() {
   long number = given ? std::strtol(given, nullptr, 10) : 1;
   if (number <= 1)
     return 1;
-  // Ordered additions take whole warps.
+  // Round up to whole warps, which ordered additions need.
   auto threads = static_cast<unsigned>(std::min(number, 1024l));
   return (threads + kEmulatedWarp - 1) / kEmulatedWarp * kEmulatedWarp;
 }

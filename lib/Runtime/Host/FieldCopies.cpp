@@ -33,7 +33,7 @@ static Status gone(const Field &field) {
 }
 
 //===----------------------------------------------------------------------===//
-// Safepoints of many small copies
+// Checks for interrupts between many small copies
 //===----------------------------------------------------------------------===//
 
 template <typename Look> Status CopySafepoints::call(const Look &look) {
@@ -94,7 +94,8 @@ bool FieldCopies::runParts(
       interrupts == Interrupts::Stop,
       {},
       {}};
-  // The clock of safepoints may have stopped; the first look starts it.
+  // The clock that tells threads to look for interrupts may have stopped; this
+  // look restarts it.
   if (job.isLong && !safepoint::look() && job.canStop)
     return false;
   workers.parallel(
@@ -119,7 +120,8 @@ bool FieldCopies::runParts(
   return !job.isStopped.load(std::memory_order_relaxed);
 }
 
-/// `data` is the address of the first element.
+/// Calls `move` for each row of the field along its last index. `data`: the
+/// address of the field's first element.
 template <typename Data, typename Move>
 bool FieldCopies::forEachRow(const Field &field, Data *data,
                              Interrupts interrupts, const Move &move) const {
@@ -128,7 +130,7 @@ bool FieldCopies::forEachRow(const Field &field, Data *data,
   int rank = field.rank();
   if (field.numElements() == 0)
     return true;
-  // Contributions of each index to the address.
+  // The address offset of each index value: by a constant step, or by a table.
   std::vector<std::vector<int64_t>> tables(static_cast<size_t>(rank));
   std::vector<int64_t> steps(static_cast<size_t>(rank), 0);
   for (int d = 0; d < rank; ++d) {
@@ -183,7 +185,8 @@ bool FieldCopies::forEachRow(const Field &field, Data *data,
                   [&](int64_t begin, int64_t end) { visit(begin, end); });
 }
 
-/// Calls body(address of the element, number of the element) along the row.
+/// Calls body(address, number) for each element of the row; `number` is its
+/// position in the host array.
 template <typename Data, typename Body>
 static void alongRow(const RowPart<Data> &row, const Body &body) {
   if (row.offsets)

@@ -26,8 +26,8 @@ void Gradients::owe(const FieldPtr &adjoint,
   if (!adjoint->valid() || !adjoint->dirty())
     return;
   adjoint->settleZeros();
-  // In forward mode, adjoints and their tangents get the zeros now. Exported
-  // memory does, too: other libraries may read it at any time.
+  // In forward mode, zeros are stored now in the adjoint and its tangent. In
+  // exported memory they are, too: other libraries may read it at any time.
   bool forward = recordings.isForward();
   Field *dual = forward ? adjoint->dual() : nullptr;
   if (dual && dual->valid())
@@ -104,8 +104,8 @@ Status Gradients::clear(const Recorder *tape) {
   bool forward = recordings.isForward();
   const Field *cleared = nullptr;
   for (const FieldPtr &field : store.fields()) {
-    // The writer is read once: another thread may be about to write to a field
-    // that is still zero.
+    // Call dirtiedBy() only once: another thread may be about to write to a
+    // field that is still zero.
     uint64_t writer = field->dirtiedBy();
     if (tape && field->isAdjoint() && writer != 0 && writer != threadNumber() &&
         !tape->uses(field))

@@ -22,7 +22,8 @@ struct HostWrite {
 
   What what;
   Field *field;
-  /// A scalar of the field's type, or, for an array, all scalars.
+  /// The value to write: one scalar of the field's type or, for an array, all
+  /// scalars.
   const void *bytes;
   /// For `What::Element`.
   const int64_t *index = nullptr;

@@ -157,8 +157,8 @@ Status HostWrites::change(const HostWrite &write) {
     bool isWhole = perform(write, FieldCopies::Interrupts::Stop);
     return isWhole ? devices.takeFailure() : failAsInterrupted();
   };
-  // Programs compute no values from gradients, so tapes do not record this
-  // write.
+  // Tapes do not record writes to adjoints, since programs compute no values
+  // from adjoints.
   if (field.isAdjoint())
     return performNow();
   if (watcher && recordings.isForward() && write.replacesAll())

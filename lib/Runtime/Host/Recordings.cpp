@@ -138,7 +138,7 @@ static bool agree(HoldKind a, HoldKind b) {
   return a == b && a != HoldKind::Write;
 }
 
-/// The verb for messages, such as "changes".
+/// The verb that messages use for a kind of hold, such as "changes".
 static const char *nameOf(HoldKind kind) {
   switch (kind) {
   case HoldKind::Read:
@@ -188,7 +188,8 @@ Status Recordings::hold(const Recorder &tape, Field &field, HoldKind kind) {
     return status;
   if (__builtin_expect(!launches || !launches->areAny(), true))
     return Status::success();
-  // Launches that begin from now on see the hold.
+  // After this fence, launches that begin on other threads see the hold;
+  // launches that already run are checked below.
   std::atomic_thread_fence(std::memory_order_seq_cst);
   Status status = checkRunning(field, kind);
   if (!status)

@@ -136,7 +136,8 @@ static void zero(Launch &launch, char *address, int64_t bytes) {
       &zeroing);
 }
 
-/// Returns null and fails the launch if there is no memory.
+/// Allocates scratch memory for a launch; without memory, fails the launch and
+/// returns null.
 static void *tryScratch(Launch &launch, int64_t bytes, const char *purpose) {
   int64_t limit = std::min(launch.owner().memoryLimit(), largestScratch);
   if (bytes >= 0 && bytes <= limit) {

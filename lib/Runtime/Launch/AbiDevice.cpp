@@ -121,8 +121,8 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
   });
 }
 
-/// Returns the memory on the device that `find` stores in its second argument;
-/// null after a failure.
+/// Calls `find`, and returns the device memory that it stores in its second
+/// argument; null after a failure.
 template <typename Find>
 static void *findMemory(TaiFrame *frame, const Find &find) {
   return orFail(frame, static_cast<void *>(nullptr), [&] {

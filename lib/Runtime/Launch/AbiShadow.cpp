@@ -36,7 +36,7 @@ static void count(std::atomic<int64_t> &counter, bool alone,
     counter.fetch_add(times, std::memory_order_relaxed);
 }
 
-/// The error, relative to the shadow, of one rounding.
+/// The relative error of rounding once to `precision` bits.
 static double roundingOf(int32_t precision) {
   return precision == 24 ? 0x1p-24 : std::ldexp(1, -precision);
 }
@@ -52,7 +52,8 @@ extern "C" void tai_rt_shadow_site(TaiFrame *frame, TaiShadowSite *named,
                                    int32_t precision, int32_t fires, double a,
                                    double errorOfA, double b, double errorOfB,
                                    double result, double error, double exact) {
-  // If the shadow overflows as well, rounding is not the cause.
+  // If the result in higher precision (`exact`) overflows as well, rounding is
+  // not the cause.
   if (!fires || !std::isfinite(exact))
     return;
   Runtime &owner = launchOf(frame).owner();
@@ -123,7 +124,8 @@ extern "C" void tai_rt_shadow_flip(TaiFrame *frame, TaiShadowSite *named,
   double exactA = a + errorOfA, exactB = b + errorOfB;
   if (std::isnan(exactA) || std::isnan(exactB))
     return;
-  // A value that underflows in the type of the float has no visible sign.
+  // A comparison of two values that underflow in the float's type is not
+  // counted: their signs are lost.
   double least = precision <= 24 ? 0x1p-126 : 0x1p-1022;
   if (std::abs(exactA) < least && std::abs(exactB) < least)
     return;
@@ -179,7 +181,7 @@ template <typename T> static T choose(T a, T b, bool greater) {
   return (a < b) == greater ? b : a;
 }
 
-/// The value of a float after the operation.
+/// The value that an update of this kind stores in place of `before`.
 template <typename T> static T combine(T before, T operand, int32_t kind) {
   switch (kind) {
   case TAI_SHADOW_ADD:
@@ -205,7 +207,8 @@ static double update(T *address, int32_t kind, T value, double error,
   T old, result;
   __atomic_load(address, &old, __ATOMIC_RELAXED);
   Exact operand = static_cast<Exact>(value) + static_cast<Exact>(error), before;
-  // Other threads may update the element without its shadow.
+  // Compare and exchange: other threads may update the element without its
+  // shadow.
   do {
     before = shadow::read<T, Exact>(address, old);
     result = combine(old, value, kind);

@@ -49,7 +49,8 @@ using Half = Float16Bits<doubleFromHalf, halfFromDouble>;
 using Bfloat = Float16Bits<doubleFromBfloat, bfloatFromDouble>;
 } // namespace
 
-/// Has no branch for each element, so that the comparisons are vectorized.
+/// Whether some element is not zero. Without a branch for each element, so that
+/// the comparisons are vectorized.
 template <typename T>
 __attribute__((always_inline)) static inline bool isAnyNonZero(const T *from,
                                                                int64_t count) {
@@ -168,7 +169,7 @@ addPairs(void *targetBytes, char *buffers, int64_t begin, int64_t end,
   }
 }
 
-/// Bytes of an element of the field.
+/// Bytes of an element of the field to which sums of this kind are added.
 static int64_t sizeOfTarget(int32_t kind) {
   switch (kind) {
   case kSumsF16:
@@ -183,7 +184,7 @@ static int64_t sizeOfTarget(int32_t kind) {
   }
 }
 
-/// Bytes of an element of a buffer.
+/// Bytes of an element of the private buffers for sums of this kind.
 static int64_t sizeOfSums(int32_t kind) {
   switch (kind) {
   case kSumsF32:

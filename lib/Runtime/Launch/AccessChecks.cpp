@@ -89,7 +89,8 @@ AccessPlace AccessChecks::getPlace(int64_t id) const {
   auto after =
       std::partition_point(ranges.begin(), ranges.end(),
                            [&](const Range &range) { return range.base < id; });
-  // The range of `id` is missing if another thread has not recorded it yet.
+  // The access `id` is unknown if another thread has not recorded its range of
+  // ids yet.
   if (id <= 0 || after == ranges.begin())
     return {"", -1, AccessKind::Write, "", 0, 0};
   const Range &range = *std::prev(after);

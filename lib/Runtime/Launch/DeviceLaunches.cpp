@@ -94,7 +94,8 @@ static Status loadOrMakeAgain(Device &device,
   Status made = image->makeAgain(*fresh);
   if (!made)
     return made;
-  // The host code is not compiled anew, and refers to functions by number.
+  // The host code of the kernel is not compiled anew and refers to device
+  // functions by number, so both images must list the same functions.
   if (fresh->functions != image->functions)
     return status;
   image = std::move(fresh);
@@ -128,8 +129,8 @@ Status DeviceLaunches::load(Kernel &kernel, uint64_t epoch) {
       const std::string &name = loaded->image->functions[i];
       DeviceCode::Function entry{};
       entry.function = functions[i];
-      // Enough threads to hide the latency of memory, and few enough that
-      // registers do not limit the number of resident blocks.
+      // The usual block size: enough threads to hide the latency of memory, and
+      // few enough that registers do not limit the number of resident blocks.
       constexpr unsigned usualThreads = 256;
       unsigned wanted = options.blockThreads > 0
                             ? static_cast<unsigned>(options.blockThreads)
@@ -212,7 +213,8 @@ void DeviceLaunches::leave(Launch &launch) {
   Status status = onDevice.finish();
   if (onDevice.usesState) {
     devices.get()->noteStateUsed();
-    // Without this wait, the next wait reports failures of the launch.
+    // In debug mode, wait for the launch, so that its failures are not reported
+    // by a later wait.
     if (status && options.instruments.debug && !onDevice.waited) {
       status = devices.device()->synchronize();
       onDevice.waited = true;

@@ -243,8 +243,8 @@ void FlowTracker::launch(Kernel &kernel, const uint64_t *args) {
   std::vector<State> before, added(all.places.size()), again(all.places.size());
   for (const FlowPlace &place : all.places)
     before.push_back(stateOf(place, args));
-  // A kernel may read a value that it has just stored: repeat until no flow
-  // adds to a state.
+  // A launch may read a value that it has just stored: pass states along the
+  // flows of values until no state changes.
   for (bool grown = true; grown;) {
     grown = false;
     for (const ValueFlow &flow : all.flows) {

@@ -24,7 +24,7 @@
 
 namespace mlir::tai::runtime {
 
-/// The addresses of an array argument, which is contiguous.
+/// The address range of an array argument of a launch; arrays are contiguous.
 inline ArrayRange rangeOf(const FlowPlace &place, const uint64_t *args) {
   auto bytes = static_cast<uint64_t>(place.elementBytes);
   uint64_t all = bytes;
@@ -45,7 +45,8 @@ public:
 
   /// In forward mode: marks the field as having a tangent.
   void addSource(const Field &field);
-  /// Notes that memory at `address` is a copy of an array, for a later launch.
+  /// Notes that the memory at `address`, which a later launch gets, is a copy
+  /// of `array`.
   void addCopy(uint64_t address, const ArrayRange &array) {
     copies[address] = array;
   }
@@ -63,8 +64,8 @@ public:
   CutSet cutsOfArrays(const Wants &isWanted) const;
   const CutSet &cutsOfResults() const { return fromResults; }
 
-  /// nameOf: a key (kernel and location) to report a cut only once. describe:
-  /// the warning text.
+  /// nameOf: a key for a cut (its kernel and location), by which a cut is
+  /// reported only once. describe: the text of the warning.
   std::string nameOf(unsigned cut) const;
   std::string describe(unsigned cut) const;
 
@@ -75,7 +76,8 @@ private:
     CutSet cuts;
 
     bool empty() const { return !isActive && cuts.empty(); }
-    /// Returns true if the state has changed.
+    /// Adds the tangent and the cuts of `more`; returns true if this state has
+    /// changed.
     bool add(const State &more);
   };
   struct ArrayState {
@@ -109,7 +111,7 @@ private:
   /// Fields that are adjoints or duals of other fields.
   std::unordered_set<const Field *> companions;
   std::unordered_map<const Field *, State> ofFields;
-  /// Keyed by the first address of the array.
+  /// The states of arrays, by the first address of each array.
   std::multimap<uint64_t, ArrayState> ofArrays;
   uint64_t longest = 0;
   std::unordered_map<uint64_t, ArrayRange> copies;

@@ -34,7 +34,7 @@ Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
 }
 
 //===----------------------------------------------------------------------===//
-// Optional parts of a provider
+// Operations that a kernel's provider need not have
 //===----------------------------------------------------------------------===//
 
 static Status hasNoAdjoint(const Kernel &kernel, bool zeroes) {
@@ -88,8 +88,8 @@ Status Kernel::resolve() {
     return Status::success();
   if (!info.provider)
     return hasNoCode(*this);
-  // A failure is not remembered: its outer cause (a full disk) may be
-  // removed.
+  // A failed compilation is tried again at the next launch: its cause, such as
+  // a full disk, may be gone by then.
   TaiKernelFn result = nullptr;
   Status status = info.provider->compile(*this, result);
   if (!status)
@@ -151,8 +151,9 @@ const AdjointPlan &Kernel::plan() {
   Lock lock(section);
   if (adjointPlan && (!adjointPlan->provisional || lock.isAgain()))
     return *adjointPlan;
-  // `isAgain`: a handler that interrupted this work asks for the plan. The
-  // handler cannot launch kernels: see checkHandler.
+  // If isAgain(), a handler that has interrupted this function asks for the
+  // plan, and gets an empty one: the handler cannot launch kernels (see
+  // checkHandler).
   static const AdjointPlan unknown;
   if (lock.isAgain())
     return unknown;

@@ -62,8 +62,7 @@ char *Arena::allocate(int64_t bytes, int64_t &dirtyBytes) {
   int64_t begin = block.used, end = begin + bytes;
   if (block.zeroBegin <= begin && block.zeroEnd >= std::min(end, block.touched))
     dirtyBytes = 0;
-  // Memory taken now is no longer known to be zero, nor is the memory before
-  // it.
+  // The block no longer counts as zero up to the end of this allocation.
   block.zeroBegin = std::max(block.zeroBegin, end);
   block.used = end;
   block.touched = std::max(block.touched, block.used);
@@ -112,8 +111,8 @@ bool Launch::look() {
   if (!hasFailed() && !owner().interruptRequested() && safepoint::look())
     return true;
   fail(failAsInterrupted());
-  // Workers then call look() at their next safepoint, not only after the next
-  // tick.
+  // Clear the tick, so that workers call look() at their next safepoint, not
+  // only after the next tick.
   __atomic_store_n(&tick, 0, __ATOMIC_RELAXED);
   return false;
 }
@@ -166,7 +165,7 @@ void *Launch::sink(int64_t bytes) {
   void *memory = mmap(nullptr, size, PROT_READ | PROT_WRITE,
                       MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (memory == MAP_FAILED) {
-    // There are not even enough addresses: one page is better than null.
+    // If even the address space is exhausted, one page is better than null.
     size = static_cast<size_t>(sysconf(_SC_PAGESIZE));
     memory = mmap(nullptr, size, PROT_READ | PROT_WRITE,
                   MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);

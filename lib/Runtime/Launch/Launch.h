@@ -58,7 +58,7 @@ private:
   int64_t wanted = 0;
 };
 
-/// The open objects of a host program.
+/// The state of a host program during its launch: trees, tape and kernels.
 struct HostState;
 
 struct Launch : TaiFrame {
@@ -101,7 +101,8 @@ struct Launch : TaiFrame {
   /// returns. Fails the launch if it is an adjoint and the cells of its primal
   /// are not known.
   const std::vector<int64_t> &cellsFor(SparseNode &node);
-  /// The cells of cellsFor and the cells whose incoming adjoints are zero.
+  /// The cells of cellsFor() together with the cells that it leaves out because
+  /// their incoming adjoints are zero.
   const std::vector<int64_t> &visitedCells(SparseNode &node);
   /// The cells of visitedCells as a shared list; null after a failure.
   ActiveListPtr visitedList(SparseNode &node);
@@ -123,7 +124,8 @@ struct Launch : TaiFrame {
   bool isOfThisThread() const {
     return thread.load(std::memory_order_relaxed) == __builtin_thread_pointer();
   }
-  /// After `begin`, the state of the runtime must be read again.
+  /// Marks the kernel as running. State of the runtime that was read before
+  /// this call must be read again.
   void begin(const Kernel &kernel) {
     running.store(&kernel, std::memory_order_release);
     std::atomic_signal_fence(std::memory_order_seq_cst);
@@ -139,14 +141,15 @@ struct Launch : TaiFrame {
   /// The cells that the loops of this launch visited.
   LoopLists loops;
   Arena arena;
-  /// For adjoints: the cells that the primal's loops visited, and its name.
+  /// For launches of adjoints: the cells that the loops of the primal launch
+  /// visited, and the name of the primal kernel.
   const LoopLists *given = nullptr;
   const std::string *primalName = nullptr;
   /// For adjoints: the loops that can be skipped in some cells, and the lists
   /// of cells that remain to be visited.
   const std::vector<ZeroAdjoints> *flags = nullptr;
   std::vector<std::unique_ptr<std::vector<int64_t>>> filtered;
-  /// Lists that were copied from a device.
+  /// Lists of active cells that were copied from a device for this launch.
   std::vector<ActiveListPtr> fetched;
   const std::vector<int64_t> &
   withoutZeroAdjoints(const SparseNode &node,

@@ -80,7 +80,7 @@ const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
 }
 
 //===----------------------------------------------------------------------===//
-// Cells that a reverse loop may leave out
+// Cells that the loops of an adjoint may skip
 //===----------------------------------------------------------------------===//
 
 // An iteration need not run if each of its contributions is a product with

@@ -437,7 +437,8 @@ Status Launcher::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
     if (!status)
       return status;
   }
-  // Marked here because the adjoint may have no summary of its own.
+  // Mark the adjoint fields as changed here, because the adjoint kernel may
+  // have no summary of its own.
   for (Field *field : kernel.adjointTargets)
     field->adjoint()->markDirty();
   launch.given = given;

@@ -22,7 +22,7 @@
 using namespace mlir::tai::runtime;
 
 //===----------------------------------------------------------------------===//
-// Launches, to be used again
+// Launch objects, which later launches reuse
 //===----------------------------------------------------------------------===//
 
 Launch *Launcher::acquire(bool isUnrecorded) {
@@ -41,7 +41,8 @@ inline Launch *Launcher::take() {
     hot.isTaken = true;
     return hot.launch.load(std::memory_order_relaxed);
   }
-  // Kept out of line: a prepared launch would otherwise save registers for it.
+  // Not inlined: in line, this path would make each prepared launch save
+  // registers.
   auto takeAnother = [&]() __attribute__((noinline)) {
     runningLaunches.noteFork();
     if (Launch *launch =
@@ -104,7 +105,7 @@ void Launcher::dropLaunches() {
 // Prepared launches
 //===----------------------------------------------------------------------===//
 
-/// All members but `state` and `lastLaunch`.
+/// References to all members of a PreparedLaunch but `state` and `lastLaunch`.
 static auto fieldsOf(PreparedLaunch &prepared) {
   PreparedLaunch &p = prepared;
   return std::tie(p.function, p.trees, p.slots, p.hasResults, p.code, p.mirrors,

@@ -25,13 +25,13 @@ public:
 
   void launch(Kernel &kernel, const uint64_t *args);
   void overwrite(const Field &field) override;
-  /// Returns a line for each cut in the derivative of the outputs that is not
-  /// in `said`, and adds the names of these cuts to `said`.
+  /// Returns a line for each cut in the derivatives of `outputs` whose name is
+  /// not in `said` yet, and adds the names to `said`.
   std::vector<std::string> describe(const std::vector<FieldPtr> &outputs,
                                     std::unordered_set<std::string> &said);
 
 private:
-  /// Several threads may launch at once.
+  /// Guards the tracker: several threads may launch at once.
   std::mutex mutex;
   FlowTracker tracker;
   bool hasLaunched = false;

@@ -22,8 +22,8 @@ struct TapedKernel {
   static std::atomic<uint64_t> &lastLaunch(Kernel &kernel) {
     return kernel.prepared.lastLaunch;
   }
-  /// Whether a launch is a mere call of the function with its trees and
-  /// arguments.
+  /// Whether a launch of the kernel only calls its function with trees and
+  /// arguments, without sparse cells, results or adjoints of the caller.
   static bool isDirect(const Kernel &kernel) {
     return kernel.sparseNodes.empty() && kernel.loopLevels.empty() &&
            kernel.info.resultSlots == 0 &&

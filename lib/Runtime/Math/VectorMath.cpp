@@ -10,8 +10,9 @@
 using namespace mlir::tai::runtime;
 
 #if defined(__x86_64__)
-// The functions are defined, with their actual types, in sources that are
-// compiled for certain processors. Only compiled code calls them.
+// These declarations serve to take addresses, so their types are not the actual
+// ones: the functions are defined in sources that are compiled for certain
+// processors, and only compiled kernels call them.
 extern "C" {
 #define TAI_WIDE_FUNCTION(name, arguments)                                     \
   void tai_wide_##name##_1();                                                  \

@@ -87,7 +87,8 @@ template <int lanes> struct WideLanes {
     F64 r = fma(-k, F64(0x1.921fb54442d18p0), x);
     r = fma(-k, F64(0x1.1a62633145c07p-54), r);
     F64 z = r * r;
-    // The next terms are below 2^-36.
+    // Taylor series of sine and cosine: the first omitted terms are below
+    // 2^-36.
     F64 sine = r * polynomial(z, {1., -1. / 6, 1. / 120, -1. / 5040,
                                   1. / 362880, -1. / 39916800});
     F64 cosine = polynomial(z, {1., -1. / 2, 1. / 24, -1. / 720, 1. / 40320,
@@ -217,7 +218,7 @@ template <int lanes> struct WideLanes {
   /// cancellation.
   TAI_WIDE_INLINE F32 tanh(F32 x) {
     F64 inF64 = extend(x);
-    // From 9.1 on the result is 1.
+    // From |x| = 9.1 on, tanh(x) rounds to 1 in f32.
     I64 covered = __builtin_elementwise_abs(inF64) < 9.5;
     inF64 = number(bits(inF64) & covered);
     F64 minusOne, scale = splitPower(inF64 * 0x1.71547652b82fep1, minusOne);

@@ -11,7 +11,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// True if consecutive cells are evenly spaced, at this distance.
+/// Whether consecutive cells are evenly spaced; `stride` is then their
+/// distance.
 static bool areEvenlySpaced(const SparseInfo &info, int64_t &stride) {
   stride = info.steps.back().stride;
   int64_t span = 1;

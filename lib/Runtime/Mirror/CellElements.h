@@ -72,8 +72,8 @@ private:
   const Field *field;
   std::vector<Run> pieces;
   int64_t total = 0;
-  /// If there are many runs of one size at a uniform distance, as in records of
-  /// several fields: that distance, else 0.
+  /// The distance of the runs if there are many of one size at a uniform
+  /// distance, as in an array of structures; else 0.
   int64_t step = 0;
   std::vector<Element> inner;
   /// The layout levels whose indices select a cell; `divisor` is the increment

@@ -88,7 +88,7 @@ Status CellMover::fill(Cells cells, const void *value) const {
 }
 
 //===----------------------------------------------------------------------===//
-// From and to the memory of the host
+// Copies between cells on the device and memory of the host
 //===----------------------------------------------------------------------===//
 
 Status CellMover::bring(const int64_t *numbers, int64_t count,

@@ -46,7 +46,8 @@ public:
   /// Sets every scalar of the cells to one value.
   Status fill(Cells cells, const void *value) const;
 
-  /// Like the functions above, with cell numbers and contents in host memory.
+  /// Copy cells to or from host memory, or zero them; `cells` lists their
+  /// numbers in host memory.
   Status load(const std::vector<int64_t> &cells, char *to) const;
   Status store(const std::vector<int64_t> &cells, const char *from) const;
   Status clear(const std::vector<int64_t> &cells) const;
@@ -64,7 +65,7 @@ private:
 
   Mirror &mirror;
   int64_t scalarBytes, cellBytes;
-  /// A TaiDeviceCellMove and its table.
+  /// Device memory with a TaiDeviceCellMove for the field and its table.
   std::unique_ptr<DeviceBlock> description;
 };
 

@@ -17,7 +17,8 @@ using namespace mlir::tai::runtime;
 
 /// Bytes of lines that kernels can print before the host waits for the device.
 static constexpr int64_t outputBytes = 1 << 20;
-/// The most bytes of one stack of a gradient.
+/// The maximum size of a stack on which a gradient kernel keeps the values of a
+/// loop on the device.
 static constexpr int64_t stackBytes = 256 << 20;
 
 DeviceContext::DeviceContext(const DeviceServices &services,
@@ -74,7 +75,7 @@ Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
   if (holdings.empty())
     return Status::failure(StatusCode::Memory,
                            message + "; this program holds nothing else there");
-  // Sum the bytes by owner.
+  // Sum the allocated bytes by owner, for the message.
   std::map<std::string, int64_t> sums;
   for (const auto &[address, holding] : holdings)
     sums[holding.owner] += holding.bytes;
@@ -185,7 +186,8 @@ void DeviceContext::noteOutOfMemory() noexcept {
   try {
     note(Status::failure(StatusCode::Memory, "out of memory"));
   } catch (const std::bad_alloc &) {
-    // The next allocation will fail and report it.
+    // Without memory to keep the block, do nothing: the next allocation will
+    // fail and report it.
   }
 }
 

@@ -53,8 +53,8 @@ public:
   /// addresses.
   Status take(int64_t bytes, const std::string &owner, DevicePtr &memory);
   void giveBack(int64_t bytes, DevicePtr memory);
-  /// mostBytes: the limit of memory. leftToReserved: the rest of it for
-  /// reserved memory, of which `taken` bytes are committed already.
+  /// mostBytes: the limit of device memory. leftToReserved: the bytes that
+  /// reserved memory may still commit, when it has committed `taken` bytes.
   int64_t mostBytes() const;
   int64_t leftToReserved(int64_t taken);
 
@@ -69,7 +69,8 @@ public:
   /// Starts collecting work, with the same scratch memory as the work collected
   /// before, so that both can be the same graph.
   void beginCollecting(bool isReplay) {
-    // Deferred launches already use the current scratch memory.
+    // If launches are deferred, they already use the current scratch memory:
+    // keep it.
     if (!device->keepsLaunches() && !device->isGathering())
       collections.fetch_add(1, std::memory_order_relaxed);
     device->beginCollecting(isReplay);
@@ -80,7 +81,8 @@ public:
       collections.fetch_add(1, std::memory_order_relaxed);
     return status;
   }
-  /// Call when the recording of a tape begins and ends; see DeviceQueue.
+  /// Begin and end the collection of launches that a tape records; see
+  /// DeviceQueue.
   void beginRecording();
   void endRecording(bool isSwept);
   uint64_t numCollections() const {
@@ -181,9 +183,10 @@ struct DeviceCode {
     unsigned threads;
     /// The number of blocks of `threads` threads that can be resident.
     unsigned mostBlocks;
-    /// Whether the loop specifies `threads`, so that it is not tuned.
+    /// Whether the kernel's loop specifies the block size `threads`, which is
+    /// then not tuned.
     bool hasSize;
-    /// Autotuning of the block size; null if that is off.
+    /// The trials that choose the block size; null if it is not tuned.
     std::shared_ptr<BlockTrials> trials;
   };
 
@@ -220,7 +223,8 @@ struct DeviceLaunch {
   }
   /// Copies written arrays back, and frees temporary memory.
   Status finish();
-  /// Whether a queued launch needs no further steps.
+  /// Whether a launch that has been queued needs neither copies back to the
+  /// host nor a look at the TaiDeviceState.
   bool isFinished() const { return !usesState && memory == Memory::Trees; }
 
   std::shared_ptr<DeviceContext> context;
@@ -231,12 +235,13 @@ struct DeviceLaunch {
   bool waited = false;
 
 private:
-  /// The memory that a launch uses; each kind includes the kinds before.
+  /// The kinds of device memory that a launch uses; each kind includes the
+  /// kinds before it.
   enum class Memory {
     Trees,
-    /// Scratch memory, and copies of the caller's arrays.
+    /// Scratch memory, and device copies of the caller's arrays, besides trees.
     Temporary,
-    /// Device memory of another library.
+    /// Device memory of another library, besides trees and temporary memory.
     Others
   };
   Memory memory = Memory::Trees;

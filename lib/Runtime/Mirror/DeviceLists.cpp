@@ -144,7 +144,8 @@ int64_t DeviceLists::guessActive(const SparseNode &node) const {
   int64_t known = node.knownActive();
   if (activity.isBehind())
     known = known > 0 ? 2 * known : node.numCells();
-  // Round up to a power of two: single cells must not change the guess.
+  // Round the guess up to a power of two, so that a few more cells do not
+  // change it.
   int64_t guess = 1;
   while (guess < known)
     guess *= 2;

@@ -32,14 +32,14 @@ struct DeviceActivity {
     if (removes)
       lastRemoval = generation;
   }
-  /// Whether a list is known to be up to date.
+  /// Whether `cells` is known to list the cells that are active now.
   bool isShownBy(const DeviceCells &cells) const {
     return isBehind() ? cells.generation == generation
                       : cells.generation >= unchangedFrom;
   }
 };
 
-/// The number of a level among those of its tree.
+/// The position of a sparse level among the sparse levels of its tree.
 size_t numberOf(const Tree &tree, const SparseNode &node);
 
 class DeviceLists {

@@ -29,7 +29,8 @@ public:
 
   /// Waits for queued work and adds its times to the profiler.
   Status collect();
-  /// Whether the source locations of functions are used.
+  /// Whether the source locations of functions are used, by the profiler or in
+  /// NVTX ranges.
   bool wantsPlaces() const { return nvtx || profiler->isOn(); }
   /// The device for launches while the profiler is off; null if they need NVTX
   /// ranges anyway.
@@ -112,10 +113,10 @@ public:
 
 private:
   struct Module;
-  /// Profile data of a function.
+  /// The profiler's data about a device function.
   struct Entry {
     Profiler::Item item = 0;
-    /// The name of its NVTX range.
+    /// The name of the NVTX range of the function's launches.
     std::string label;
     bool isKnown = false;
     DeviceFunctionFacts facts;

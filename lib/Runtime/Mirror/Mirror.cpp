@@ -99,13 +99,14 @@ Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
 }
 
 Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
-  // The host does not wait for a write on the device, so allow more of them.
+  // The host does not wait for a write on the device, so a tree stays on the
+  // device for more single writes than single reads.
   constexpr int64_t few = 8;
   if (onDevice() &&
       (isExported() || writes++ < few + accessesWorth(tree.bytes()))) {
     pristine = false;
     ++changes;
-    // If both copies are current, both are written.
+    // If both host and device are current, write to both.
     if (onHost())
       std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
     Status status = device().fill(at(offset), from, static_cast<int>(bytes), 1);
@@ -143,7 +144,8 @@ Status Field::storeMirrored(int64_t offset, const void *from) const {
   return owner->mirror()->write(offset, from, byteSize(fieldLayout.scalar));
 }
 
-/// Guards owed zeros: a second thread waits until the zeros are stored.
+/// Guards the storing of owed zeros (see OwedZeros.h): a second thread waits
+/// until the zeros are stored.
 static Section &storingZeros() {
   static Section section;
   return section;
@@ -275,9 +277,9 @@ std::optional<bool> Mirror::copyIn(const Field &field, const void *array,
   return true;
 }
 
-/// Cuts a field that is not evenly spaced into pieces that are, one for each
-/// combination of the indices with the largest steps. Empty if there are too
-/// many pieces, or none is evenly spaced.
+/// Cuts a field whose elements are not evenly spaced into pieces whose elements
+/// are, one piece for each combination of the indices with the largest steps.
+/// Empty if there are too many pieces, or no piece is evenly spaced.
 static std::vector<DeviceRows> findPieces(const Mirror &mirror,
                                           const Field &field) {
   struct Axis {
@@ -297,7 +299,9 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
   }
   std::sort(axes.begin(), axes.end(),
             [](const Axis &a, const Axis &b) { return a.step < b.step; });
-  // Merge axes, smallest step first, while a step equals the extent so far.
+  // Merge the axes with the smallest steps into a row of evenly spaced
+  // elements: an axis belongs to the row if its step is the length of the row
+  // so far.
   int64_t rows = 1, step = field.numComponents() * layout.componentStride;
   size_t even = 0;
   for (; even < axes.size(); ++even) {
@@ -307,7 +311,7 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
       break;
     rows *= axes[even].extent;
   }
-  // The next axis counts groups of rows.
+  // The next axis is outside of the row: it counts groups of rows.
   Axis group{1, 0};
   if (even < axes.size())
     group = axes[even++];

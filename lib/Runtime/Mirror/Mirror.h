@@ -38,7 +38,7 @@ public:
     return deviceContext;
   }
   Tree &getTree() const { return tree; }
-  /// Null for a tree without sparse levels.
+  /// The part of the mirror for sparse levels; null for a tree without them.
   SparseMirror *sparse() const { return sparseTree.get(); }
   Device &device() const { return deviceContext->get(); }
   bool onHost() const { return hostCurrent.load(std::memory_order_acquire); }
@@ -84,7 +84,8 @@ public:
     context().queue().unshare();
   }
 
-  /// Accesses a few bytes, on the host or the device, whichever is cheaper.
+  /// Read or write a few bytes of the tree, on the host or the device,
+  /// whichever is cheaper.
   Status read(int64_t offset, void *to, int64_t bytes);
   Status write(int64_t offset, const void *from, int64_t bytes);
 
@@ -93,14 +94,15 @@ public:
   /// in the middle of a copy, so the caller shares the mirror.
   bool copyOut(const Field &field, void *array);
   bool fill(const Field &field, const void *scalarBytes);
-  /// Copies an array to a field. Empty if the host should do all of the copy
-  /// instead; false if the host has interrupted it and `canStop`. Safepoints
-  /// are passed either way.
+  /// Copies an array of the host to the field on the device. No value if the
+  /// host should do all of the copy instead; false if the host has interrupted
+  /// it, which needs `canStop`. Handlers run during the copy, whatever
+  /// `canStop` is.
   std::optional<bool> copyIn(const Field &field, const void *array,
                              bool canStop);
 
-  /// The rows of `count` elements from number `first` on, of a field with a
-  /// uniform stride; device memory must be allocated.
+  /// Elements [first, first + count) of a field with a uniform stride, as rows
+  /// in the device memory, which must be allocated.
   DeviceRows rows(const Field &field, int64_t first, int64_t count) const {
     int64_t bytes = field.numComponents() * byteSize(field.scalar());
     int64_t step = field.evenStep();
@@ -109,7 +111,8 @@ public:
       return {address, 0, count * bytes, 1};
     return {address, step, bytes, count};
   }
-  /// The device address of an offset; device memory must be allocated.
+  /// The device address of the byte at `offset` in the tree; device memory must
+  /// be allocated.
   DevicePtr at(int64_t offset) const {
     return memory + static_cast<DevicePtr>(offset);
   }
@@ -124,7 +127,7 @@ private:
   Section moving;
   std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
   std::atomic<int> exports{0};
-  /// The tree has never been written: it holds zeros.
+  /// True until the tree is first written: it holds zeros.
   std::atomic<bool> pristine{true};
   /// Single elements read and written since the last launch.
   int64_t reads = 0, writes = 0;

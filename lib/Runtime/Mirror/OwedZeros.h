@@ -30,7 +30,7 @@ struct OwedZeros {
   /// Adds a box; merges it with the last box if it continues the last box along
   /// the dimension.
   void add(Box box, int64_t dimension);
-  /// Whether an element has this position along the dimension.
+  /// Whether some box covers this position along the dimension.
   bool contains(int64_t dimension, int64_t position) const;
   void store(const Field &field) const;
 };

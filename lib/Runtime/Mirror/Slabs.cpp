@@ -27,7 +27,8 @@ static bool areFirst(const std::vector<int> &dimensions) {
 
 std::vector<int> Slabs::choose(const Field &field,
                                const std::vector<FixedIndex> &fixed) {
-  // Smaller slabs take more memory for their numbers than they save.
+  // The minimum size of a slab: the data kept for each smaller slab would take
+  // more memory than smaller slabs save.
   constexpr int64_t fewestBytes = 64;
   std::vector<int> chosen;
   chosen.reserve(fixed.size());
@@ -60,7 +61,7 @@ Slabs::Slabs(const Field &field, std::vector<int> dimensions, bool byCell)
     if (!status)
       field.tree().mirror()->context().note(std::move(status));
     numbersOnDevice = std::make_shared<Numbers>();
-    // A slab must be made of whole cells.
+    // In a sparse field, a slab must consist of whole cells.
     slowDimensions.resize(std::min<size_t>(slowDimensions.size(), 1));
     if (!slowDimensions.empty() && !cells->separates(slowDimensions.front()))
       slowDimensions.clear();

@@ -24,7 +24,8 @@ namespace mlir::tai::runtime {
 
 struct DeviceRows;
 
-/// Consecutive slabs, or all of a field.
+/// Some consecutive slabs of a field or, if `first` is negative, the whole
+/// field.
 struct SlabRange {
   int64_t first = -1, count = 0;
 
@@ -43,18 +44,19 @@ public:
   /// field, whose slabs consist of whole cells, along one dimension at most.
   explicit Slabs(const Field &field, std::vector<int> dimensions = {},
                  bool byCell = false);
-  /// The leading dimensions of `fixed` along which the field can be cut.
+  /// Chooses the leading dimensions of `fixed`, the indices that an access
+  /// fixes, along which the field is cut into slabs.
   static std::vector<int> choose(const Field &field,
                                  const std::vector<FixedIndex> &fixed);
 
   const std::vector<int> &dimensions() const { return slowDimensions; }
-  /// Number of slabs, and of elements in each.
+  /// The number of slabs, and the number of elements in each slab.
   int64_t count() const { return slabs; }
   int64_t elements() const { return slabElements; }
   int64_t elementBytes() const { return bytes; }
 
-  /// Whether elements are numbered by cells; the number of cells, and the cells
-  /// of a slab.
+  /// byCell: whether elements are numbered by cells of a sparse level.
+  /// numCells: the number of numbered cells. cellsOf: the cells of a slab.
   bool byCell() const { return cells != nullptr; }
   int64_t numCells() const { return static_cast<int64_t>(numbered.size()); }
   const std::vector<int64_t> &cellsOf(int64_t slab) const {
@@ -67,19 +69,20 @@ public:
   /// Copies `count` elements from number `first` on, to or from a dense buffer.
   void load(int64_t first, int64_t count, char *to) const;
   void store(int64_t first, int64_t count, const char *from) const;
-  /// True if the elements equal these bytes.
+  /// True if `count` elements from number `first` on equal the bytes at
+  /// `expected`.
   bool equal(int64_t first, int64_t count, const char *expected) const;
-  /// Exchange elements with a buffer, compare them with zeros, or zero them;
-  /// only if byCell().
+  /// Exchange `count` elements with a buffer, compare them with zero, or zero
+  /// them; only if byCell().
   void exchange(int64_t first, int64_t count, char *contents) const;
   bool isZero(int64_t first, int64_t count) const;
   void clear(int64_t first, int64_t count) const;
-  /// Zeroes elements; only if not byCell().
+  /// Zeroes `count` elements from number `first` on; only if not byCell().
   void zero(int64_t first, int64_t count) const;
 
-  /// Whether the field is on a device that can save ranges of it in device
-  /// memory; then: save, restore, and exchange. Unless numbers are in row-major
-  /// order, a range must be one slab.
+  /// onDevice: whether the field is on a device that can save ranges of it in
+  /// device memory, by the functions below. Unless inRowMajorOrder(), a range
+  /// must be one slab.
   bool inRowMajorOrder() const { return isRowMajor; }
   bool onDevice() const {
     return mover || (isEven && field->tree().mirror() != nullptr);
@@ -109,16 +112,17 @@ private:
 
   const Field *field;
   std::vector<int> slowDimensions;
-  /// Whether numbers are in row-major order.
+  /// Whether elements are numbered in row-major order.
   bool isRowMajor;
   int64_t slabs = 1;
   int64_t slabElements = 1;
   int64_t bytes;
-  /// Whether the stride is uniform, as `onDevice` requires; and whether
-  /// elements are contiguous in the order of numbers.
+  /// isEven: whether elements have a uniform stride, as onDevice() requires.
+  /// isContiguous: whether elements lie in memory in the order of their
+  /// numbers, without gaps.
   bool isEven, isContiguous;
-  /// A dimension, the slow one first: its extent, and the address offset of an
-  /// index: by a constant step, or by a table.
+  /// A dimension of the field, the slowest in the numbering first: its extent,
+  /// and the address offset of each index, by a constant step or a table.
   struct Dimension {
     int64_t extent;
     int64_t step;
@@ -131,13 +135,15 @@ private:
   std::vector<Dimension> order;
 
   std::shared_ptr<CellElements> cells;
-  /// If byCell() on a device: the mover, and a copy of `numbered` there.
+  /// For byCell() on a device: the object that moves cells, and the cell
+  /// numbers `numbered` in device memory.
   std::shared_ptr<CellMover> mover;
   struct Numbers;
   std::shared_ptr<Numbers> numbersOnDevice;
   Status bringNumbers(int64_t first, int64_t count,
                       CellMover::Cells &found) const;
-  /// The cells by number, and the same cells sorted.
+  /// numbered: the cells in the order of their numbers. known: the same cells,
+  /// sorted.
   std::vector<int64_t> numbered, known;
   ActiveListPtr lastAdded;
   /// Cell numbers of each slab.

@@ -128,7 +128,7 @@ static Status forEachPart(const SparseNode &node, int64_t numMarks,
   int64_t all = node.activityBytes();
   if (all < shortRow)
     return body(0, all);
-  // A mark stands for 64 words, or as many lengths.
+  // A mark stands for 64 words of activity bits, or for 64 lengths of lists.
   int64_t group =
       64 * (node.info().isList ? int64_t(sizeof(int32_t)) : wordBytes);
   int64_t begin = 0, end = 0;
@@ -214,7 +214,8 @@ Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   auto mark = [&](int64_t i) { return found[static_cast<size_t>(i)]; };
   status =
       forEachPart(node, node.numMarked(), mark, [&](int64_t at, int64_t bytes) {
-        // Whole words: a last length alone takes only half of its word.
+        // Round up to whole words: the length of a last list takes only half of
+        // its word.
         now.assign(static_cast<size_t>((bytes + 7) / 8), 0);
         Status copied =
             device.copyOut(now.data(), row + static_cast<DevicePtr>(at), bytes);
@@ -237,7 +238,8 @@ Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   return status;
 }
 
-/// Sends the bytes of known active cells, and their limit, to the device.
+/// Sends the bytes of the active cells that the host knows of, and their limit,
+/// to the device.
 Status SparseMirror::sendAccount() {
   const MemoryAccount &memory = context.host().memory;
   int64_t used = 0;
@@ -338,7 +340,8 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
   return true;
 }
 
-/// Adopts all snapshots in order, and calls the function of each.
+/// Adopts all kept snapshots of activity in order, and calls the function that
+/// was kept with each.
 Status SparseMirror::adoptKept(bool &any) {
   std::vector<std::function<void()>> states;
   states.swap(kept);

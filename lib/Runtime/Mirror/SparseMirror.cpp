@@ -208,7 +208,7 @@ Status SparseMirror::writeDescriptor() {
 }
 
 //===----------------------------------------------------------------------===//
-// Memory that may not be zero
+// Ranges of the tree that may be non-zero
 //===----------------------------------------------------------------------===//
 
 /// Touched ranges consist of whole pages of the host.
@@ -240,8 +240,9 @@ static bool hasLongRow(const SparseNode &node) {
   return node.activityBytes() >= int64_t(1) << 20;
 }
 
-/// Touches [begin, end), except cells of the sparse levels next below. The
-/// range is the cell `cell` of the level `above`, or the whole tree.
+/// Calls touch() for [begin, end) without the cells of the sparse levels
+/// directly below. The range is the cell `cell` of the level `above`; if that
+/// is null, the whole tree.
 void SparseMirror::touchOutside(int64_t begin, int64_t end,
                                 const SparseNode *above, int64_t cell) {
   constexpr int64_t mostPools = 1 << 16;
@@ -382,7 +383,7 @@ Status SparseMirror::fetch() {
 }
 
 //===----------------------------------------------------------------------===//
-// Changes by the host on both sides
+// Changes by the host, of its own copy and of the device's
 //===----------------------------------------------------------------------===//
 
 void SparseMirror::hostChanges(bool removes) {
@@ -460,7 +461,7 @@ bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
         cellLists.list(const_cast<SparseNode &>(*field.sparseNode()), cells);
   if (status && !cells)
     return false;
-  // -1: the device knows the number of cells.
+  // The count -1 means that only the device knows the number of cells.
   if (status)
     status = mover->fill({cells->cells(), -1}, scalarBytes);
   context.note(std::move(status));

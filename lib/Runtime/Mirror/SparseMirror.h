@@ -110,8 +110,8 @@ private:
   DeviceActivity state;
   DeviceLists cellLists;
   DevicePtr block = 0, base = 0;
-  /// The memory is reserved and committed on use; bits of the committed pieces
-  /// follow the account.
+  /// Whether the device memory is reserved, and committed on use; then a bit
+  /// for each committed piece follows the memory account.
   bool isReserved = false;
   int64_t pieceBytes = 0, numPieces = 0;
   /// Device memory after the tree: a TaiDeviceActivity, removed cells and marks

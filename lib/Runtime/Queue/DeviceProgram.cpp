@@ -15,7 +15,7 @@
 using namespace mlir::tai::runtime;
 
 //===----------------------------------------------------------------------===//
-// Ways to run a sequence
+// The ways to run a sequence of launches
 //===----------------------------------------------------------------------===//
 
 static const char *nameOf(ProgramMode mode) {
@@ -358,7 +358,7 @@ DeviceQueue::Way *DeviceQueue::Program::nextTrial() {
     else if (way->overlaps() && !mayOverlapPay())
       refuse(*way, "launches by themselves take too long");
     else if (way->needsCode() && !makeCode(*way)) {
-      // Compile for one way at a time.
+      // Compile the code of one way at a time.
       if (!way->isTried)
         return nullptr;
     } else {
@@ -372,12 +372,14 @@ DeviceQueue::Way *DeviceQueue::Program::nextTrial() {
 }
 
 Status DeviceQueue::Program::tryWay(Way &way) {
-  // The first of three runs loads code and table, and is not timed.
+  // A trial consists of three runs; the first loads code and table, and is not
+  // timed.
   constexpr int wanted = 3;
   auto start = Clock::now();
   Status status = way.makeCurrent();
   if (!status) {
-    // If only the way's code is outdated, compile new code in the background.
+    // If the way fails only because its code is outdated, compile new code in
+    // the background.
     if (way.needsCode() && starter)
       way.tries = 0;
     else
@@ -386,7 +388,8 @@ Status DeviceQueue::Program::tryWay(Way &way) {
   }
   hasStarted = true;
   status = way.tries == 0 ? way.launch() : runTimed(way);
-  // A failure on the device is one of the steps, whatever the way.
+  // A failure comes from one of the steps, and would occur in any way to run
+  // them.
   if (!status)
     return status;
   if (&way != ways.front().get())
@@ -445,7 +448,8 @@ Status DeviceQueue::Program::run(const Sequence &prefix, bool same,
       return status;
     return trial ? tryWay(*trial) : runUsed();
   } catch (const std::bad_alloc &) {
-    // Run the steps that were not reached, since the runtime relies on them.
+    // Out of memory: run the steps that have not been queued one by one, since
+    // the runtime relies on them.
     Status status;
     if (prefixState == Prefix::Waits && !hasStarted)
       status = StepRunner::runAlone(device, prefix);

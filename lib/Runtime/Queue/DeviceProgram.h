@@ -38,7 +38,8 @@ public:
       : sequence(std::move(sequence)), device(device),
         schedules(device, this->sequence), prefixed(device) {}
 
-  /// `same`: the parameter slots are the same as in the last run.
+  /// Runs the sequence. `same`: its parameter slots are the same as in the last
+  /// run.
   Status run(bool same, ProgramMode mode, const Tools &tools);
   /// Runs the launches of `prefix`, then the sequence.
   Status run(const Sequence &prefix, bool same, ProgramMode mode,
@@ -84,11 +85,12 @@ private:
 
   Device &device;
   StepSchedules schedules;
-  /// Null where programs are compiled in the background.
+  /// Compiles a program at once; null if programs are compiled in the
+  /// background.
   ProgramMaker maker;
   ProgramStarter starter;
   KeptChoices choices;
-  /// The mode that an earlier process has chosen.
+  /// The way to run this sequence that an earlier process has chosen.
   std::optional<ProgramMode> keptChoice;
   /// Whether steps of the current run have been queued.
   bool hasStarted = false;

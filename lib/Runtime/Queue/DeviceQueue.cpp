@@ -260,11 +260,11 @@ DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
         program.sequence = std::move(sequence);
       return &program;
     }
-  // Limits the number of programs of sequences that are never repeated.
+  // A limit, since sequences that are never repeated get programs, too.
   constexpr size_t mostPrograms = 64;
   if (programs.size() >= mostPrograms)
     programs.clear();
-  // If memory runs out, `sequence` stays as it is.
+  // If memory runs out, no program is made and `sequence` keeps its steps.
   auto added = programs.emplace(sequence.hash, nullptr);
   try {
     added->second = std::make_unique<Program>(*device, std::move(sequence));
@@ -287,7 +287,7 @@ Status DeviceQueue::flush(bool isWhole) {
   if (!status || (collected->empty() && prefix->empty()))
     return status;
   {
-    // Restores the depth even if memory runs out.
+    // Restores `depth` at the end of the scope, even if memory runs out.
     struct Running {
       std::optional<unsigned> &depth;
       std::optional<unsigned> outer =
@@ -311,7 +311,8 @@ Status DeviceQueue::flush(bool isWhole) {
 
 Status DeviceQueue::runCollected(bool isWhole) {
   isKeeping = false;
-  // The members are emptied first, since running steps may queue work.
+  // Empty the collected sequence and its prefix first, since running their
+  // steps may queue more work.
   Sequence sequence = std::move(*collected), before = std::move(*prefix);
   *collected = Sequence();
   *prefix = Sequence();
@@ -346,7 +347,8 @@ Status DeviceQueue::runCollected(bool isWhole) {
     try {
       program = findProgram(std::move(sequence), same);
     } catch (const std::bad_alloc &) {
-      // The sequence is as it was, and can run without a program.
+      // Without memory for a program, `sequence` is unchanged and can run step
+      // by step.
     }
     int64_t start = recorded->hasRun() ? RecordedLaunches::now() : 0;
     if (program) {
@@ -378,7 +380,7 @@ std::string DeviceQueue::explain() const {
 }
 
 //===----------------------------------------------------------------------===//
-// Devices without graphs or events
+// Default operations, for devices without graphs or events
 //===----------------------------------------------------------------------===//
 
 static Status hasNoGraphs() {

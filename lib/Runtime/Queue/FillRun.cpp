@@ -49,7 +49,7 @@ static int64_t pitchOf(const DeviceRows &rows) {
                   rows.outer > 1 ? rows.outerStep : 0);
 }
 
-/// True only if the two have no byte in common.
+/// True only if the two sets of rows have no byte in common.
 static bool areApart(const DeviceRows &a, const DeviceRows &b) {
   if (endOf(a) <= b.address || endOf(b) <= a.address)
     return true;

@@ -54,9 +54,10 @@ static StepMemory memoryOf(const DeviceRows &rows) {
 
 std::optional<DeviceQueue::GraphOrder::FrontFills>
 DeviceQueue::GraphOrder::splitFront() const {
-  // The step that waits for the fills breaks the chain of overlapping launches,
-  // which costs as much as some microseconds of filling. Large fills use all
-  // memory bandwidth, wherever they run.
+  // Below these limits, a parallel branch of fills does not pay: the step that
+  // waits for it breaks the chain of overlapping launches, which costs as much
+  // as some microseconds of filling. Large fills use all memory bandwidth,
+  // wherever they run.
   constexpr int64_t fewestBytes = 4 << 20;
   constexpr size_t fewestLaunches = 16, mostSteps = 4096;
   constexpr int64_t mostGroups = 64;

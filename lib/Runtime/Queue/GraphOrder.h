@@ -33,16 +33,18 @@ public:
   /// parallel with later steps, up to the step `join` in the order.
   struct FrontFills {
     std::vector<DeviceFill> first, aside;
-    /// The number of fill steps at the front, and the position of the first
-    /// step that waits for `aside`.
+    /// count: the number of fill steps at the front of the sequence. join: the
+    /// position, in the order, of the first step that waits for the fills in
+    /// `aside`.
     size_t count = 0, join = 0;
   };
-  /// Returns no value if the gain would be small.
+  /// Chooses the fills at the front; returns no value if the gain would be
+  /// small.
   std::optional<FrontFills> splitFront() const;
 
 private:
   const Sequence &sequence;
-  /// The numbers of the steps, in the chosen order.
+  /// The numbers of the sequence's steps, in the order in which they run.
   std::vector<uint32_t> order;
 };
 

@@ -18,7 +18,8 @@ ProgramPlan DeviceQueue::OverlappingKernels::plan(const Sequence &sequence) {
   plan.scope = TAI_SCOPE_LAUNCHES;
   for (const Function *part : parts)
     plan.parts.push_back({part->bitcode, part->name, /*isInTable=*/false});
-  // In a block of so many threads, each can have the maximum of registers.
+  // In a block of so many threads, each thread can have the maximum of
+  // registers, so the compiler need not know the block size.
   constexpr unsigned unlimited = 256;
   for (const Step &step : sequence.steps)
     for (size_t i = 0; i < parts.size(); ++i)

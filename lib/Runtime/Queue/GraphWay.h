@@ -17,7 +17,8 @@ namespace mlir::tai::runtime {
 class DeviceQueue::OverlappingKernels {
 public:
   bool areMade() const { return !functions.empty(); }
-  /// The plan of the kernels, and their creation from the compiled code.
+  /// plan: describes the kernels to compile. adopt: creates them from the
+  /// compiled code.
   static ProgramPlan plan(const Sequence &sequence);
   Status adopt(Device &device, const Sequence &sequence,
                const DeviceImage &image);
@@ -32,7 +33,8 @@ private:
 
 class DeviceQueue::GraphWay final : public Way {
 public:
-  /// `overlapping`: null for a graph whose launches do not overlap.
+  /// `overlapping`: the kernels for programmatic dependent launch; null for a
+  /// graph whose launches do not overlap.
   GraphWay(Device &device, const Sequence &sequence, ProgramMode mode,
            double predicted, OverlappingKernels *overlapping)
       : Way(device, mode, predicted), sequence(sequence),
@@ -61,7 +63,7 @@ private:
   const Sequence &sequence;
   OverlappingKernels *overlapping;
   std::unique_ptr<DeviceGraph> graph;
-  /// The number of sequential nodes.
+  /// The number of nodes of the graph that run one after another.
   size_t numNodes = 0;
 };
 

@@ -59,7 +59,7 @@ Status DeviceQueue::KernelWay::plan(ProgramPlan &plan) {
   return Status::success();
 }
 
-/// Loads the compiled code. If loading fails, the present code stays.
+/// Loads newly compiled code. If loading fails, the present code stays in use.
 Status DeviceQueue::KernelWay::adopt(const DeviceImage &image) {
   std::unique_ptr<DeviceModule> loaded;
   DeviceFunction *found = nullptr;
@@ -102,7 +102,8 @@ Status DeviceQueue::KernelWay::update() {
     steps = schedules.listSteps(usesTiles);
   std::vector<uint64_t> rows;
   if (steps.empty() || !loops.pack(steps, words, rows)) {
-    // Parameters vary in a new way: make code without loops, which fits any.
+    // The parameters vary from step to step in a new way: make code without
+    // loops, which fits any parameters.
     if (usesTiles)
       schedules.dropTiles();
     usesTiles = usesLoops = false;
@@ -127,7 +128,7 @@ Status DeviceQueue::KernelWay::update() {
 Status DeviceQueue::KernelWay::updateTable(const std::vector<uint64_t> &rows) {
   auto bytes = static_cast<int64_t>(rows.size() * sizeof(uint64_t));
   Status status;
-  // Code without loops has more rows in the table.
+  // The table can grow, since code without loops has more rows in it.
   if (table && bytes > tableBytes) {
     device.free(table);
     table = 0;

@@ -57,14 +57,15 @@ private:
   DeviceFunction *function = nullptr;
   DevicePtr table = 0;
   int64_t tableBytes = 0;
-  /// The time stamps (number of steps + 1), or 0.
+  /// Device memory for the time stamps (number of steps + 1); 0 if steps are
+  /// not timed.
   DevicePtr clocks = 0;
   /// The loops of the loaded code.
   ProgramLoops loops;
   /// The loops of code that is planned, but not loaded yet.
   ProgramLoops planned;
-  /// Whether code may have loops, and whether the loops of the present code do
-  /// not fit the parameters any more.
+  /// usesLoops: whether the code may contain loops. isOutdated: whether the
+  /// loops of the loaded code no longer fit the parameters.
   bool usesLoops = true, isOutdated = false;
   std::vector<uint64_t> words;
 };

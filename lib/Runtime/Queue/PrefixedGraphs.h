@@ -34,7 +34,7 @@ private:
   struct Prefixed {
     Sequence prefix;
     std::unique_ptr<DeviceGraph> graph;
-    /// Whether the graph has the current slots.
+    /// Whether the graph has the current parameter slots of the sequence.
     bool isCurrent = false;
     std::string refused;
     int runs = 0, changes = 0;

@@ -20,7 +20,7 @@ static constexpr size_t fewestRepetitions = 4;
 /// Limits the size of code: each step in the body of a loop adds to it.
 static constexpr size_t mostLoopSteps = 128;
 
-/// Chains have no rows in the table.
+/// Whether the step is a tile chain, which has no row in the table.
 static bool isChain(const LoopStep &step) {
   return step.part >= firstChainPart;
 }
@@ -71,7 +71,8 @@ ProgramLoops::ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops) {
   stride = 8;
   for (const LoopStep &step : steps)
     stride = std::max(stride, isChain(step) ? 0 : step.numSlots);
-  // A row holds the number of the part, and the parameters.
+  // A row of the table holds the number of a step's part, and then its
+  // parameters.
   ++stride;
   size_t loopSteps = 0;
   for (size_t at = 0; at < steps.size();) {

@@ -30,14 +30,16 @@ struct LoopStep {
   size_t numSlots;
 };
 
-/// The segments of a sequence: loops, and rows of a table for the rest.
+/// Divides the steps of a sequence into segments: loops, and rows of a table
+/// for all other steps.
 class ProgramLoops {
 public:
   ProgramLoops() = default;
   /// Without `useLoops`, all steps are rows of one table.
   ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops);
 
-  /// False if there are too many chains, which cannot be rows of a table.
+  /// Whether all steps fit; false if there are too many tile chains, which
+  /// cannot be rows of a table.
   bool isComplete() const { return fits; }
   const std::vector<ProgramSegment> &getSegments() const { return segments; }
   /// The number of words of loop parameters.

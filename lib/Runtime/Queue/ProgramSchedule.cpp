@@ -167,7 +167,8 @@ static bool haveSameThreads(const StepMemory::Piece &a,
       static_cast<int64_t>(std::max(a.first + static_cast<uint64_t>(a.window),
                                     b.first + static_cast<uint64_t>(b.window)) -
                            first);
-  // Each stride must exceed the width of all faster digits together.
+  // Iterations access different bytes if each stride exceeds the width of all
+  // faster digits together.
   for (size_t i = 0; i < a.map->size(); ++i) {
     auto [extent, stride] = (*a.map)[i];
     if (stride < width)
@@ -194,12 +195,13 @@ StepRelation mlir::tai::runtime::getRelation(const StepMemory &a,
   StepRelation most = a.isSingle && b.isSingle ? StepRelation::SameThread
                                                : StepRelation::Barrier;
   StepRelation result = StepRelation::None;
-  // Raises `result`; returns true once it is `most`, which ends the search.
+  // Raises `result` to the strongest relation of two pieces; returns true once
+  // it is `most`, which ends the search.
   auto compare = [&](const std::vector<StepMemory::Piece> &ones,
                      const std::vector<StepMemory::Piece> &others) {
     for (const StepMemory::Piece &one : ones)
       for (const StepMemory::Piece &other : others) {
-        // Most pieces lie far apart.
+        // Skip pieces that lie apart, as most do.
         if (one.end <= other.begin || other.end <= one.begin)
           continue;
         result = std::max(result, std::min(most, ::getRelation(one, other)));
@@ -218,7 +220,7 @@ StepRelation mlir::tai::runtime::getRelation(const StepMemory &a,
 //===----------------------------------------------------------------------===//
 
 ProgramSchedule::ProgramSchedule(const std::vector<StepMemory> &steps) {
-  // A step is moved past at most so many groups and steps.
+  // The maximum number of groups, and of steps, that a step is moved past.
   constexpr size_t mostGroups = 12, mostSteps = 192;
   std::vector<std::vector<uint32_t>> groups;
   for (uint32_t i = 0; i < steps.size(); ++i) {

@@ -29,7 +29,7 @@ struct Footprint {
     Map map;
   };
   std::vector<Line> lines;
-  /// The loop has one iteration.
+  /// Whether the function's loop has only one iteration.
   bool isSingle = false;
 };
 
@@ -40,12 +40,13 @@ struct StepMemory {
     /// The address in the first iteration, and the range over all iterations.
     uint64_t first, begin, end;
     int64_t window, step, size;
-    /// See Footprint::Line::map; null for none.
+    /// The map from iterations to addresses (Footprint::Line::map), or null.
     const Footprint::Map *map;
   };
-  /// Pieces that are only read, and pieces that are changed.
+  /// reads: pieces of memory that the step only reads. changes: pieces that it
+  /// writes.
   std::vector<Piece> reads, changes;
-  /// Whether the pieces are all accesses of the step.
+  /// Whether `reads` and `changes` cover all accesses of the step.
   bool isKnown = false;
   /// Whether the first thread does all accesses.
   bool isSingle = false;
@@ -67,7 +68,7 @@ private:
     (piece.kind == DeviceAccess::Read ? reads : changes).push_back(piece);
   }
 
-  /// Storage for maps that are not from a footprint.
+  /// Owns a map that does not belong to a footprint.
   std::shared_ptr<Footprint::Map> ownMap;
 };
 

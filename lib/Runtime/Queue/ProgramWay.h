@@ -28,7 +28,7 @@ public:
   std::string refused;
   /// The compilation of the way's code on another thread, or null.
   std::unique_ptr<ProgramJob> job;
-  /// The predicted time of that compilation; negative if not known.
+  /// The predicted time to compile the way's code; negative if not known.
   double compileSeconds = -1;
   /// The number of trial runs so far, and whether the trial is over.
   int tries = 0;

@@ -13,7 +13,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// The maximum of known recordings, and of launches in a recording.
+/// The maximum number of known recordings, and of launches in each.
 static constexpr size_t mostKnown = 8, mostLaunches = 1 << 18;
 
 int64_t RecordedLaunches::now() {
@@ -89,7 +89,8 @@ bool RecordedLaunches::expects(const Item &item) {
       collects = longer != nullptr;
     }
   }
-  // One item above the maximum marks the run as too long.
+  // Keep one item more than the maximum, which marks the run of launches as too
+  // long.
   if (run.size() <= mostLaunches)
     run.push_back(item);
   return collects;
@@ -150,7 +151,8 @@ void RecordedLaunches::lose(Known &entry) {
 //===----------------------------------------------------------------------===//
 
 void RecordedLaunches::noteLaunch(int64_t ns) {
-  // If the queue is full, launches wait for the device: take the minimum.
+  // Take the minimum of the measured times, since a launch waits for the device
+  // if the queue is full.
   launchNs = launchNs < 0 ? ns : std::min(launchNs, ns);
 }
 
@@ -162,7 +164,8 @@ void RecordedLaunches::judge(const Outcome &outcome) {
   constexpr int patience = 3;
   entry.unprepared = outcome.isPrepared ? 0 : entry.unprepared + 1;
   if (entry.unprepared >= patience) {
-    // For example, copies and fills of the recording differ each time.
+    // The sequence has had no program several times in a row, for example
+    // because copies and fills of the recording differ each time.
     entry.unprepared = 0;
     entry.lost = 1;
     lose(entry);

@@ -34,9 +34,10 @@ public:
     /// Device time in milliseconds in the chosen way, and as a graph; negative
     /// if not known.
     double chosenMs = -1, graphMs = -1;
-    /// All steps, including those after the recording.
+    /// The number of steps of the sequence, including steps after the
+    /// recording.
     size_t steps = 0;
-    /// Host time to queue the sequence.
+    /// Host time to queue the sequence, in nanoseconds.
     int64_t hostNs = 0;
   };
 
@@ -56,7 +57,8 @@ public:
   /// outcome. `isEnd`: the operation is a sweep, which runs together with
   /// whatever has been collected.
   bool interrupt(bool isEnd = false);
-  /// Whether interrupt() would return true.
+  /// Whether interrupt() would return true, as the collected launches are a
+  /// complete known sequence.
   bool isWhole() const { return collects && findWhole(); }
 
   bool isCollecting() const { return collects; }
@@ -104,7 +106,8 @@ private:
     /// How often in a row the sequence had no program, and how often in a row
     /// it was slower than single launches.
     int unprepared = 0, slow = 0;
-    /// Host times of the last run.
+    /// Host times of the last run in nanoseconds, to collect the launches and
+    /// to queue the sequence; -1 if not known.
     int64_t collectNs = 0, hostNs = -1;
     /// Why the items are no longer collected; empty if they are.
     std::string refused;

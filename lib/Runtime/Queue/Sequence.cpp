@@ -76,7 +76,8 @@ StepMemory DeviceQueue::Sequence::memoryOf(const Step &step) const {
     return StepMemory::ofLaunch(step.function->footprint.get(), values,
                                 step.numSlots);
   case Step::Kind::Fill:
-    // A fill of single bytes writes eight at a time, by unknown threads.
+    // A fill with a pattern of one byte stores eight bytes at a time, so the
+    // thread that stores an element is not known.
     if (values[2] > 1)
       memory.addNumbers(DeviceAccess::Write, values[0],
                         static_cast<int64_t>(values[2]),
@@ -177,7 +178,7 @@ static void closeUp(DeviceRows &rows) {
 
 DeviceFill DeviceQueue::Sequence::fillOf(const Step &step) const {
   const uint64_t *values = slots.data() + step.firstSlot;
-  // The pattern, followed by its size.
+  // `held` points to the pattern of the fill, followed by its size.
   const uint64_t *held = values + (step.kind == Step::Kind::Fill ? 1 : 4);
   auto size = static_cast<int>(held[1]);
   DeviceRows rows = rowsOf(step);
@@ -201,8 +202,9 @@ void DeviceQueue::Sequence::addFill(const DeviceRows &rows, const void *pattern,
                                     int patternBytes) {
   DeviceFill fill{rows, repeatPattern(pattern, patternBytes), patternBytes};
   closeUp(fill.rows);
-  // Compare with the last fills. stays: whether each stays, the last fill
-  // first. place: the position of the new fill.
+  // Compare the new fill with the last fills of the sequence. stays: whether
+  // each of them stays, the last fill first. place: the position of the new
+  // fill.
   constexpr size_t most = 16;
   bool stays[most];
   size_t first = steps.size(), place = steps.size();

@@ -18,8 +18,8 @@ namespace mlir::tai::runtime {
 struct DeviceQueue::Function : DeviceFunction {
   DeviceFunction *function = nullptr;
   std::string name;
-  /// Shared by all functions of a module, which may be destroyed before
-  /// programs that use it.
+  /// The bitcode of the module, shared by its functions: programs that use it
+  /// can outlive the module.
   std::shared_ptr<const std::string> bitcode;
   /// DeviceImage::key of the module.
   std::string imageKey;
@@ -30,7 +30,8 @@ struct DeviceQueue::Function : DeviceFunction {
 };
 
 struct DeviceQueue::Module : DeviceModule {
-  /// Deferred work may refer to functions of the module.
+  /// Makes the queue forget the module, whose functions deferred work may refer
+  /// to.
   ~Module() override {
     if (queue)
       queue->forget(*this);
@@ -60,14 +61,14 @@ struct DeviceQueue::Step {
     SwapRows
   };
   Kind kind;
-  /// The number of slots; for launches, also the function and its shape.
+  /// The number of parameter slots; a launch also has a function and a shape.
   unsigned numSlots = 0;
   Function *function = nullptr;
   LaunchShape shape;
-  /// The first of its slots in the sequence. Launch: the parameters. Fill:
-  /// address, pattern, its size, count. Copy: destination, source, bytes. Rows:
-  /// address, step, rowBytes, rows; other address and step, or pattern and its
-  /// size; outerStep, outer.
+  /// The position of the step's slots in the sequence. Launch: the parameters.
+  /// Fill: address, pattern, its size, count. Copy: destination, source, bytes.
+  /// Rows: address, step, rowBytes, rows; other address and step, or pattern
+  /// and its size; outerStep, outer.
   size_t firstSlot = 0;
   /// The hash of the sequence before this step.
   uint64_t hashBefore = 0;

@@ -35,9 +35,11 @@ public:
                int count);
   /// Notes work other than launches, which interrupts a prefix.
   void interrupt();
-  /// A sequence begins, which includes the deferred launches.
+  /// Notes that a sequence begins, which runs together with the deferred
+  /// launches.
   void begin();
-  /// A sequence has ended. `isWorthIt`: observe the launches that follow.
+  /// Notes that a sequence has ended. `isWorthIt`: observe the launches that
+  /// follow.
   void end(bool isWorthIt);
 
   /// Whether launches are being observed.

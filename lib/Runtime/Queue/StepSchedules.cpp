@@ -109,7 +109,8 @@ static StepMemory unite(const std::vector<StepMemory> &memory, size_t first,
 void DeviceQueue::StepSchedules::makeTiled(
     const std::vector<StepMemory> &memory) {
   tiled = Schedule();
-  // Half of the memory that every block has: the library has some, too.
+  // The limit for tiles: less than the 48 KiB of shared memory that every block
+  // can have, since the device library uses some, too.
   constexpr int64_t mostBytes = 40 << 10, mostCells = 2048;
   TileLimits limits{device.limits().multiprocessors, mostBytes, mostCells};
   std::unordered_map<const Function *, uint64_t> numbers;

@@ -29,12 +29,12 @@ public:
   /// chain.
   struct Unit {
     size_t first, count;
-    /// The number of the chain; -1 for none.
+    /// The number of the tile chain that the unit is; -1 for a single step.
     int chain;
   };
   struct Schedule {
     std::vector<Unit> units;
-    /// The schedule of the units.
+    /// The order of the units, and the barriers between them.
     ProgramSchedule order;
     const Unit &unit(size_t at) const { return units[order.order[at]]; }
   };
@@ -44,7 +44,7 @@ public:
   void make(bool wantsTiles);
   /// Computes the schedules again if parameters that affect them have changed.
   void update();
-  /// The schedule with tiles is no longer needed.
+  /// Makes update() compute no schedule with tiles any more.
   void dropTiles() { wantsTiles = false; }
 
   /// Whether there are chains.
@@ -52,7 +52,8 @@ public:
   const Schedule &get(bool withTiles) const {
     return withTiles ? tiled : plain;
   }
-  /// A block for each tile, and a thread for each of its cells.
+  /// The launch shape for tiles: a block for each tile, and a thread for each
+  /// cell of a tile.
   LaunchShape getTileShape() const;
   /// The number of steps that run separately before the program.
   size_t countBefore() const { return numBefore; }
@@ -74,13 +75,15 @@ private:
 
   const Device &device;
   const Sequence &sequence;
-  /// `tiled` is empty if there are no chains.
+  /// plain: the schedule of single steps. tiled: the schedule with chains as
+  /// units; empty if there are no chains.
   Schedule plain, tiled;
   bool wantsTiles = false;
   /// All chains so far, by number.
   std::vector<TileChain> chains;
   size_t numBefore = 0, numUnknown = 0;
-  /// The slots that determine which memory the steps access, and their values.
+  /// The slots that determine which memory the steps access, and the values of
+  /// these slots when the schedules were computed.
   std::vector<size_t> decisiveSlots;
   std::vector<uint64_t> decisiveValues;
 };

@@ -24,7 +24,7 @@ namespace {
 struct Place {
   const TileSite *site;
   uint64_t address, begin, end;
-  /// Distances between elements, in bytes, are multiples of this.
+  /// All distances between elements, in bytes, are multiples of `step`.
   int64_t step;
 };
 
@@ -60,7 +60,8 @@ private:
   TileChain chain;
   size_t rank = 0;
   std::vector<std::vector<Place>> places;
-  /// For each row, the memory of all of its cells.
+  /// For each row (an array that the chain writes), the memory of all its
+  /// cells.
   std::vector<Place> rowPlaces;
 };
 } // namespace
@@ -273,8 +274,8 @@ static void grow(TileHalo &halo, const TileHalo &other, const TileSite &site) {
   }
 }
 
-/// Finds the halos: in its tile, a launch must write all cells that later
-/// launches read.
+/// Finds the halo of each launch's tile: a launch must write all cells that
+/// later launches of the chain read in the tile.
 void ChainMaker::findHalos() {
   for (size_t s = count; s-- > 0;) {
     TileStage &stage = chain.stages[s];

@@ -12,28 +12,28 @@
 
 namespace mlir::tai::runtime {
 
-/// A launch, as input of the analysis.
+/// A launch, as input to the search for tile chains.
 struct ChainStep {
-  /// Null if the launch cannot run in tiles.
+  /// The accesses of the launched function; null if it cannot run in tiles.
   const FunctionAccesses *function = nullptr;
   const uint64_t *slots = nullptr;
   size_t numSlots = 0;
-  /// The number of the part that runs one of its iterations.
+  /// The number of the program's part that runs one iteration of the function.
   uint64_t part = 0;
 };
 
 struct TileLimits {
-  /// Maxima: number of tiles, bytes of shared memory in a block, and cells of a
-  /// tile with its halo.
+  /// Maxima for a chain: the number of tiles, bytes of shared memory in a
+  /// block, and cells of a tile with its halo.
   int64_t mostTiles = 1, mostBytes = 0, mostCells = 0;
 };
 
-/// The chain of `count` steps; none if they do not form one.
+/// Makes a tile chain of all `count` steps; no value if they do not form one.
 std::optional<TileChain> makeChain(const ChainStep *steps, size_t count,
                                    const TileLimits &limits);
 
-/// The longest chain at the start of `count` steps whose last launch shares
-/// data with the others, and its length.
+/// Finds the longest tile chain at the start of `count` steps whose last launch
+/// shares data with the others; returns it and its length.
 std::optional<std::pair<TileChain, size_t>>
 findChain(const ChainStep *steps, size_t count, const TileLimits &limits);
 

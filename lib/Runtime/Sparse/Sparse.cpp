@@ -237,7 +237,7 @@ static void release(char *begin, int64_t bytes) {
     return;
   }
   std::memset(begin, 0, static_cast<size_t>(first - address));
-  // These pages read as zero from now on.
+  // The pages given back to the system read as zero from now on.
   madvise(reinterpret_cast<void *>(first), static_cast<size_t>(last - first),
           MADV_DONTNEED);
   std::memset(reinterpret_cast<void *>(last), 0,
@@ -314,7 +314,7 @@ void SparseNode::deactivateAll() {
   prepare(/*removes=*/true);
   std::vector<int64_t> found;
   collectInto(found, 0, numMarks);
-  // Neighbours are released together: pages are larger than most cells.
+  // Release neighbouring cells together: pages are larger than most cells.
   char *begin = nullptr, *end = nullptr;
   for (int64_t cell : found) {
     if (!layout.isList) {
@@ -372,7 +372,7 @@ constexpr int kCollapse = 25;
 /// active nearly everywhere get them.
 void SparseNode::useLargePages(const ActiveList &list) {
   constexpr int64_t kPage = int64_t(2) << 20;
-  // The part of the region that must be active.
+  // A region gets a large page only if so many of its bytes are active.
   constexpr int64_t kEnough = kPage / 8 * 7;
   if (static_cast<int64_t>(list.cells.size()) * cellBytes() < kEnough)
     return;
@@ -408,7 +408,7 @@ ActiveListPtr SparseNode::list() {
   }
   auto list = std::make_shared<ActiveList>();
   list->epoch = now;
-  // Enough cells to repay a fork.
+  // The number of cells from which a fork of several threads pays.
   constexpr int64_t kManyCells = 1 << 15;
   int64_t count = active.load(std::memory_order_relaxed);
   int64_t parts = count < kManyCells
@@ -444,7 +444,7 @@ ActiveListPtr SparseNode::list() {
 }
 
 //===----------------------------------------------------------------------===//
-// State that the host knows without waiting
+// The activity that the host knows without waiting for a device
 //===----------------------------------------------------------------------===//
 
 SparseNode::Moment SparseNode::now() const {
@@ -472,7 +472,7 @@ bool SparseNode::mayBeActive() const {
 }
 
 //===----------------------------------------------------------------------===//
-// The same level on a device
+// The activity of the level on a device
 //===----------------------------------------------------------------------===//
 
 bool SparseNode::holdsCellsAlone() const {

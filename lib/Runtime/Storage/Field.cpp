@@ -75,7 +75,7 @@ Status Field::locate(const int64_t *index, int64_t component,
   return Status::success();
 }
 
-/// Reads a component as the number that `load` makes of its bytes.
+/// Reads a component of an element as a number; `load` converts its bytes.
 template <typename Number>
 static Status read(const Field &field, const int64_t *index, int64_t component,
                    Number (*load)(ScalarKind, const char *), Number &value) {
@@ -89,7 +89,8 @@ static Status read(const Field &field, const int64_t *index, int64_t component,
   return status;
 }
 
-/// Writes a number by `store`; the cell becomes active.
+/// Writes a component of an element; `store` converts the number. The cell that
+/// holds the element becomes active.
 template <typename Number>
 static Status write(Field &field, const int64_t *index, int64_t component,
                     void (*store)(ScalarKind, char *, Number), Number value) {
@@ -178,6 +179,6 @@ int64_t mlir::tai::runtime::findEvenStep(const FieldLayout &layout,
       return 0;
     expected *= shape[d];
   }
-  // The stride of a single element is its size.
+  // The stride of a single element is defined as its size.
   return first == 0 ? elementBytes : first;
 }

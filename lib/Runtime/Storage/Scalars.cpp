@@ -62,7 +62,8 @@ static uint16_t encode(double value, int exponentBits, int mantissaBits) {
   int exponent;
   std::frexp(magnitude, &exponent);
   exponent = std::max(exponent - 1, 1 - bias);
-  // The magnitude in units of the last place is exact; it is rounded once.
+  // The quotient of magnitude and last place is exact, so the value is rounded
+  // once.
   double units = std::nearbyint(std::ldexp(magnitude, mantissaBits - exponent));
   if (exponent > bias)
     return static_cast<uint16_t>(sign | infinity);
@@ -102,7 +103,8 @@ double mlir::tai::runtime::doubleFromBfloat(uint16_t bits) {
   return decode(bits, 8, 7);
 }
 
-/// Truncates; saturates where C++ would be undefined.
+/// Converts to an integer by truncation; NaN becomes 0, and a value out of
+/// range the nearest limit.
 static int64_t toInteger(double value) {
   if (std::isnan(value))
     return 0;

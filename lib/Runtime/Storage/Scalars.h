@@ -33,7 +33,8 @@ double doubleFromBfloat(uint16_t bits);
 /// types.
 void appendLibraryCalls(std::vector<RuntimeSymbol> &symbols);
 
-/// The stride of elements along an index; false if it is not uniform.
+/// Sets `step` to the stride of elements along an index with these layout
+/// levels; false if the stride is not uniform.
 bool findConstantStep(const std::vector<LayoutLevel> &levels, int64_t &step);
 
 /// The stride of elements in row-major order; 0 if it is not uniform. For a

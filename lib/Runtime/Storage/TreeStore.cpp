@@ -49,7 +49,8 @@ Status TreeStore::addTree(std::string name, int64_t bytes, TreePtr &tree,
                                " with all cells active, and " +
                                formatBytes(largestReservation) +
                                " is the most that can be addressed");
-  // The memory that a sparse tree needs is not known until cells become active.
+  // Only dense trees are checked: the memory that a sparse tree needs is not
+  // known until cells become active.
   int64_t needed = sparse.empty() ? bytes : 0;
   if (needed > memory.left())
     return Status::failure(
@@ -121,7 +122,7 @@ TreeStore::~TreeStore() {
 
 void TreeStore::setClosing(Tree &tree, bool isClosing) {
   tree.isClosing.store(isClosing, std::memory_order_release);
-  // Makes kernels check their trees again.
+  // Notes a change of storage, so that kernels check their trees again.
   if (isClosing)
     state.storageChanged();
 }
@@ -137,7 +138,8 @@ Status TreeStore::destroyTree(const std::string &name) {
     auto isGone = [&](const FieldPtr &field) {
       if (&field->tree() != tree)
         return false;
-      // An adjoint in another tree loses its primal.
+      // If the adjoint of the field lies in another tree, it has no primal any
+      // more.
       if (field->adjointField)
         field->adjointField->ofPrimal = false;
       forgetPartnerNames(*field);

@@ -12,8 +12,9 @@ using namespace mlir::tai::runtime;
 
 bool AdjointForms::loadsStored(size_t index) const {
   const Kernel *kernel = recording[index].kernel;
-  // A host function can change fields without the tape's knowledge, now or when
-  // called again. The tangents of stored values are not necessarily stored.
+  // Stored outputs are not loaded if a host function was recorded, which can
+  // change fields without the tape's knowledge, nor in forward mode, as the
+  // tangents of stored outputs are not necessarily stored.
   return kernel && TapedKernel::loadsStored(*kernel) &&
          !recording.hasCallbacks() && !lostStored && !services.isForward() &&
          memory.holdsStored(static_cast<uint32_t>(index));
@@ -22,7 +23,7 @@ bool AdjointForms::loadsStored(size_t index) const {
 Status AdjointForms::find(size_t index, Kernel *&adjoint) const {
   Kernel &kernel = *recording[index].kernel;
   bool zeroes = plan.zeroesAt(index);
-  // `known` finds an adjoint made before, without the lock of resolveAdjoint.
+  // known() finds an adjoint made before, without the lock of resolveAdjoint().
   if (loadsStored(index)) {
     adjoint = TapedKernel::known(kernel, zeroes, /*stored=*/true);
     if (adjoint)

@@ -27,8 +27,9 @@ public:
   /// Call at the start of a sweep.
   void clear() { examined.clear(); }
 
-  /// Call the first after the adjoint of a launch, the second after the reverse
-  /// of a host function, when only adjoints of `live` fields can be non-zero.
+  /// Examine adjoints after the adjoint of launch `index`, or after the reverse
+  /// of host function `index`, when only adjoints of `live` fields can be
+  /// non-zero.
   void examine(const TapeRecording &recording, size_t index);
   void examine(size_t index, const std::vector<Field *> &live);
 

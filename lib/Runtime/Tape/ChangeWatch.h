@@ -32,9 +32,9 @@ public:
 
 private:
   TapeServices services;
-  /// Field::version() of each field at begin().
+  /// The fields of the sequence, with their Field::version() at begin().
   std::vector<std::pair<FieldPtr, uint64_t>> versions;
-  /// The number of the next launch at begin().
+  /// The number that the next launch had at begin().
   uint64_t endLaunch = 0;
 };
 

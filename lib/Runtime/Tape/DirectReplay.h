@@ -29,13 +29,14 @@ public:
   DirectReplay(TapeServices services, const TapeRecording &recording)
       : services(services), recording(recording) {}
 
-  /// Whether the kernels can be called directly.
+  /// Whether the kernels of the recording can be called directly.
   bool findForward() const;
   /// Whether the adjoints of the plan can be called directly; keeps them for
   /// runReverse.
   bool findReverse(const TapePlan &plan, const AdjointForms &forms);
 
-  /// Call after findForward or findReverse has returned true.
+  /// Run the sequence; call only after findForward or findReverse,
+  /// respectively, has returned true.
   Status runForward(Launch &launch) const;
   Status runReverse(Launch &launch, const TapePlan &plan) const;
 
@@ -46,7 +47,7 @@ private:
   const TapeRecording &recording;
   /// The adjoint of each record that the plan replays.
   std::vector<Kernel *> adjoints;
-  /// Adjoint fields that `adjoints` change.
+  /// The adjoint fields that the kernels in `adjoints` change.
   std::vector<Field *> targets;
 };
 

@@ -29,7 +29,8 @@ struct mlir::tai::runtime::HostState {
   /// The trees that the host program itself can access, besides its kernels.
   const std::vector<TreePtr> *trees;
   std::unique_ptr<Tape> tape;
-  /// Kernels by the address of their name, a literal of the module.
+  /// Kernels by the address of their name, a string literal of the compiled
+  /// module.
   std::unordered_map<const char *, Kernel *> kernels;
 };
 
@@ -232,7 +233,7 @@ public:
     Status status = runtime.beginTape(loss, true, launch.host->tape);
     if (!status)
       return report(launch, std::move(status));
-    // Each evaluation starts from this snapshot.
+    // Each evaluation of the region starts from this snapshot of all trees.
     before = save();
     if (region(&launch, closure) != 0 || launch.hasFailed())
       return 1;
@@ -278,7 +279,7 @@ public:
       Estimate best;
       if (!estimate(field, values, direction, product, best))
         return 1;
-      // Written so that a NaN fails.
+      // If the error is NaN, this comparison is false and the check fails.
       if (best.error <= tolerance)
         continue;
       restoreAfter();
@@ -320,7 +321,8 @@ private:
     runtime.launcher().numbers().store(after.launches);
   }
 
-  /// Components of both signs, none close to zero.
+  /// A pseudorandom direction whose components have both signs and magnitudes
+  /// between 0.5 and 1.5.
   static std::vector<double> makeDirection(size_t count, uint32_t which) {
     std::vector<double> direction(count);
     for (size_t i = 0; i < count; ++i) {
@@ -366,7 +368,7 @@ private:
     (void)field.readable();
     std::vector<size_t> written;
     for (size_t i = 0; i < values.size(); ++i) {
-      // The value that `evaluate` has stored, rounded to the field's type.
+      // The element as `evaluate` has stored it, rounded to the field's type.
       double now = loadF64(field.scalar(), values[i]);
       storeF64(field.scalar(), values[i], start[i] + step * direction[i]);
       if (!(now == loadF64(field.scalar(), values[i])))
@@ -512,7 +514,8 @@ Status mlir::tai::runtime::checkGradient(Runtime &runtime, const FieldPtr &loss,
   state.trees = &trees;
   Launch *launch = runtime.acquireLaunch();
   launch->host = &state;
-  // The C function pointer `run` gets `region` through its data argument.
+  // `run` is a C function pointer and cannot capture `region`, which it gets
+  // through its data argument.
   struct Closure {
     Launch &launch;
     const std::function<Status()> &region;

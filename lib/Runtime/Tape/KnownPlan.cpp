@@ -12,7 +12,8 @@ using namespace mlir::tai::runtime;
 std::shared_ptr<const KnownPlan> KnownPlan::make(const TapeRecording &recording,
                                                  const PlanInputs &inputs,
                                                  const PlanResults &results) {
-  // A copy of so many records takes about 10 MB.
+  // The longest recording whose plan is kept: a copy of so many records takes
+  // about 10 MB.
   constexpr size_t mostRecords = 1 << 18;
   if (!recording.onlyLaunches() || recording.size() > mostRecords)
     return nullptr;

@@ -31,7 +31,8 @@ enum class PlanDecision : uint8_t {
   Overwrite     // a write of the host: the adjoint of its elements becomes zero
 };
 
-/// All that the decisions depend on, except the records.
+/// The inputs of a plan besides the records, on which its decisions also
+/// depend.
 struct PlanInputs {
   uint64_t epoch = 0;
   /// The fields whose adjoints may be non-zero at the start, and those whose
@@ -48,7 +49,7 @@ struct PlanInputs {
 
 struct PlanResults {
   std::vector<PlanDecision> decisions;
-  /// The replayed records, from last to first.
+  /// The records that the sweep replays, from last to first.
   std::vector<uint32_t> needed;
   Overwrites overwrites;
 };
@@ -57,8 +58,9 @@ struct PlanResults {
 /// kernels nor fields alive.
 class KnownPlan {
 public:
-  /// Null for a recording with host functions or writes of the host, and for
-  /// one so long that the copy would take much memory.
+  /// Copies a plan with its recording and inputs. Null for a recording with
+  /// host functions or writes of the host, and for one so long that the copy
+  /// would take much memory.
   static std::shared_ptr<const KnownPlan> make(const TapeRecording &recording,
                                                const PlanInputs &inputs,
                                                const PlanResults &results);
@@ -73,8 +75,8 @@ private:
   TapeRecording::Launches launches;
   std::vector<std::weak_ptr<Kernel>> kernels;
   PlanInputs inputs;
-  /// The fields of `overwrites.storedOnce` are null; `storedOnce` refers to
-  /// them.
+  /// The plan's results. The fields in `overwrites.storedOnce` are null; the
+  /// member `storedOnce` refers to them weakly.
   PlanResults results;
   std::vector<std::weak_ptr<Field>> storedOnce;
 };

@@ -120,7 +120,8 @@ void LiveSlabs::add(const std::vector<Use> &uses, const uint64_t *args) {
 void LiveSlabs::end(const KernelUses &uses, const uint64_t *args) {
   for (const Use &use : uses.ended) {
     SlabSet::Slab slab = locate(use, args);
-    // `locate` returns the whole field if an index is out of range: keep it.
+    // If an index is out of range, locate() returns the whole field: remove
+    // nothing.
     if (!slab.isWhole() || use.fixed->empty())
       sets[use.set].remove(slab);
   }

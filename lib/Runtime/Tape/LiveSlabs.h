@@ -41,9 +41,9 @@ public:
   /// set the adjoints of the elements that the launch overwrites to zero.
   void pass(const TapeRecording::Record &record, bool zeroes);
 
-  /// For passes in the order of the records, where an element is live if its
-  /// value depends on some inputs. isRead: whether a launch reads live
-  /// elements. passForward: updates the live elements after the launch.
+  /// For passes in the order of the records, in which an element is live if its
+  /// value depends on the inputs of interest. isRead: whether a launch reads
+  /// live elements. passForward: updates the live elements after the launch.
   bool isRead(const TapeRecording::Record &record) const;
   void passForward(const TapeRecording::Record &record, bool isRead);
 

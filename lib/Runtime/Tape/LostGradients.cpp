@@ -63,7 +63,8 @@ size_t LostGradients::hash(const TapeRecording &recording,
     mix(std::hash<const void *>()(kernel.get()));
   if (!hasArrays)
     return hash;
-  // Mix in which launches and host writes share arrays, but no addresses.
+  // Add to the hash which launches and host writes share arrays, but no
+  // addresses, which differ between recordings.
   struct Seen {
     uint64_t end;
     size_t number;
@@ -104,7 +105,7 @@ void LostGradients::find(const TapeServices &services,
                          const TapeRecording &recording,
                          const std::vector<Field *> &live,
                          std::vector<std::string> &notes) const {
-  // Loops record the same sequence again; it is checked once.
+  // A loop records the same sequence again and again; check each sequence once.
   size_t known = hash(recording, haveSuspectArrays(recording.kernels()));
   for (const Field *field : live)
     known = known * 31 + std::hash<const void *>()(field);
@@ -125,7 +126,7 @@ void LostGradients::find(const TapeServices &services,
              recording.write(record).replacesAll())
       tracker.overwrite(*recording.write(record).field);
   }
-  // Gradients on a device are not read, and count as wanted.
+  // An adjoint of an array on a device is not read, and counts as wanted.
   FlowTracker::CutSet cuts =
       tracker.cutsOfArrays([&](uint64_t address, uint64_t bytes) {
         const auto *adjoint = reinterpret_cast<const char *>(address);

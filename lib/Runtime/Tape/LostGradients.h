@@ -24,9 +24,9 @@ namespace mlir::tai::runtime {
 
 class LostGradients {
 public:
-  /// Launches record addresses of arrays. noteCopy: `address` holds a copy of
-  /// `array` for one launch. noteWrite: the host has changed `array` before
-  /// this record.
+  /// Launches record only the addresses of arrays. noteCopy: `address` holds a
+  /// copy of `array` for one launch. noteWrite: the host has changed `array`
+  /// before this record.
   void noteCopy(uint64_t address, const ArrayRange &array) {
     copies[address] = array;
   }
@@ -44,10 +44,10 @@ public:
             std::vector<std::string> &notes) const;
 
 private:
-  /// Equal for sequences that lose the same gradients.
+  /// A hash that is equal for sequences that lose the same gradients.
   size_t hash(const TapeRecording &recording, bool hasArrays) const;
 
-  /// By the address of the copy.
+  /// The arrays that have been copied for launches, by the address of the copy.
   std::unordered_map<uint64_t, ArrayRange> copies;
   std::vector<std::pair<size_t, ArrayRange>> written;
 };

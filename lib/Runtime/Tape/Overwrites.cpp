@@ -93,7 +93,8 @@ struct Repeated {
     /// The access stores nothing.
     None,
     StoresElements,
-    /// Each launch stores all elements at the access's fixed index.
+    /// Each launch of the kernel stores all elements at the fixed index of the
+    /// access.
     StoresSlab
   };
   struct Use {
@@ -105,9 +106,11 @@ struct Repeated {
 
     bool stores() const { return effect != Effect::None; }
   };
-  /// The accesses with `varies`; during the first launch, all accesses.
+  /// The kernel's accesses for which `varies` holds; during the first launch,
+  /// all its accesses.
   std::vector<Use> uses;
-  /// Later launches of the kernel store elements that the first has stored.
+  /// Whether later launches of the kernel store elements that its first launch
+  /// has stored.
   bool storesAgain = false;
 };
 } // namespace
@@ -192,7 +195,8 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording) {
         size_t index = lookup(access);
         const FixedIndex *fixed = used[index].find(access);
         bool varies = fixed && !fixed->terms.empty();
-        // Accesses that differ only along other dimensions are alike.
+        // Accesses that differ only in the indices of other dimensions have the
+        // same effect.
         auto isAlike = [&](const Repeated::Use &use) {
           const FixedIndex *other = used[index].find(*use.access);
           return use.used == index && !use.stores() &&

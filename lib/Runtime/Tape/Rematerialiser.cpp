@@ -68,7 +68,7 @@ Status Rematerialiser::recompute(Launch &launch, size_t index, bool saving,
     status = memory.beforeReplay(static_cast<uint32_t>(index),
                                  static_cast<uint32_t>(oldest));
   topology.beginReexecution(static_cast<uint32_t>(index));
-  // Skip a host write that changes only tangents of gradients.
+  // Do not repeat a host write that changes only tangents of gradients.
   if (status &&
       (changesFollowed || recording[index].kind != TapeRecording::Kind::Write))
     status = replayRecord(services, recording, launch, index,
@@ -232,7 +232,7 @@ Status Rematerialiser::sweep() {
   Status status = checkpoints->checkBudget(leaf);
   if (!status)
     return status;
-  // A failure up to here has changed nothing.
+  // Until the final contents are saved, a failure leaves everything unchanged.
   status = checkpoints->keepFinal();
   if (!status)
     return status;

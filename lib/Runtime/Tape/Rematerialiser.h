@@ -40,7 +40,7 @@ public:
   /// Runs the reverse sweep by the plan. Afterwards memory is as before.
   Status sweep();
 
-  /// How often the record has been re-executed.
+  /// The number of times that the record has been re-executed.
   uint32_t countAt(size_t index) const {
     return index < executedAt.size() ? executedAt[index] : 0;
   }
@@ -67,10 +67,10 @@ private:
   TapeTopology &topology;
   ReverseSweep &reverse;
   std::unique_ptr<Checkpoints> checkpoints;
-  /// Re-executed records, in total and for each record.
+  /// The number of re-executions, in total and of each record.
   int64_t executed = 0;
   std::vector<uint32_t> executedAt;
-  /// Whether a sweep has run, which leaves only the first snapshot.
+  /// Whether a sweep has run: after it, only the first snapshot is left.
   bool sweptBefore = false;
 };
 

@@ -67,7 +67,8 @@ Status ReverseSweep::runAdjoint(Launch &launch, size_t index) {
   const TapeRecording::Record &record = recording[index];
   Kernel &kernel = *record.kernel;
   const uint64_t *args = recording.args(record);
-  // Skip a launch if adjoints of its results and changed fields are zero.
+  // Skip a launch if the adjoints of its results and of the fields that it
+  // changes are zero.
   const std::vector<Field *> &sources = TapedKernel::sources(kernel);
   const CallerAdjoints &caller = kernel.callerAdjoints();
   if (services.skips(Skip::DeadLaunches) && !caller.results.empty() &&
@@ -125,7 +126,8 @@ Status ReverseSweep::zeroWritten(const HostWrite &write) {
 }
 
 Status ReverseSweep::findLoops(Kernel &kernel, LoopLists &lists) {
-  // The current activity is that after the whole host function.
+  // The current activity is the one after the whole host function, not after
+  // the single launch in it.
   for (SparseNode *node : TapedKernel::sparseNodes(kernel))
     lists.addUnknown(
         *node, node->list(),

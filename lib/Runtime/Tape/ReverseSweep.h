@@ -29,8 +29,8 @@ public:
       : services(services), tape(tape), recording(recording), plan(plan),
         forms(forms), memory(memory), topology(topology), health(health) {}
 
-  /// Runs the records of the plan; for sequences without reverse host
-  /// functions.
+  /// Reverses the records that the plan selects; for sequences in which no host
+  /// function has a reverse.
   Status runPlanned(Launch &launch);
   /// Runs all records, with a decision on each at its turn: host functions may
   /// have written adjoints in ways that the plan does not know.
@@ -59,7 +59,7 @@ private:
   Status checkActivity(Kernel &kernel, size_t index) const;
 
   TapeServices services;
-  /// The tape, which host functions get for their launches.
+  /// The tape of this sweep, which host functions get for their launches.
   Tape &tape;
   const TapeRecording &recording;
   TapePlan &plan;

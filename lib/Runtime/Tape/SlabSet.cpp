@@ -63,7 +63,8 @@ unsigned SlabSet::addShape(const std::vector<FixedIndex> &fixed) {
   return static_cast<unsigned>(shapes.size() - 1);
 }
 
-/// Makes the counts, after all shapes have been added.
+/// Allocates the slab counts of all shapes; call after all shapes have been
+/// added.
 void SlabSet::prepare() {
   for (Shape &shape : shapes) {
     for (const Shape &other : shapes) {

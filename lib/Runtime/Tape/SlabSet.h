@@ -51,7 +51,8 @@ public:
   Slab whole() const { return {}; }
 
   void add(const Slab &slab);
-  /// Removes elements of the slab, but is allowed to keep any of them.
+  /// Removes elements of the slab from the set; it is allowed to keep any of
+  /// them.
   void remove(const Slab &slab);
   /// Whether the slab may have elements that are in the set.
   bool meets(const Slab &slab) const;
@@ -70,11 +71,11 @@ private:
     std::unordered_map<uint64_t, uint32_t> sparse;
   };
   struct Shape {
-    /// The dimensions, as a mask over `dimensions`.
+    /// The dimensions that the shape fixes, as a bit mask over `dimensions`.
     unsigned mask;
     /// Counts of this shape's slabs by their positions along dimensions in
-    /// common with another shape. shared[i] is the number of the counts for
-    /// shape i, `own` that for this shape.
+    /// common with each shape: counts[shared[i]] for shape i, and counts[own]
+    /// for this shape.
     std::vector<Counts> counts;
     std::vector<unsigned> shared;
     unsigned own = 0;

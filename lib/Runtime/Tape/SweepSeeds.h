@@ -44,7 +44,8 @@ public:
 private:
   struct Loss {
     FieldPtr field;
-    /// The seed in the adjoint's scalar type; empty for a seed of 1.
+    /// The seed of the loss in the scalar type of its adjoint; empty for a seed
+    /// of 1.
     std::vector<char> seed;
   };
   void clearSum(Field &loss) const;

@@ -103,7 +103,8 @@ public:
   CollectedWork(const CollectedWork &) = delete;
   CollectedWork &operator=(const CollectedWork &) = delete;
 
-  /// Queues the work. Returns `status` if it is a failure, else the result.
+  /// Queues the collected work. Returns `status` if it is a failure, else the
+  /// result of queueing.
   Status finish(Status status) {
     if (!device)
       return status;
@@ -165,7 +166,8 @@ Status Tape::replayAll(bool forward, bool reverse) {
 
 Status Tape::replayForward() {
   Parts &tape = *parts;
-  // Give all launches new numbers, which keep their distances.
+  // Give all launches new numbers, on which random numbers depend, at the same
+  // distances.
   tape.recording.renumber(
       tape.services.takeLaunches(tape.recording.numLaunches()));
   HeldLaunch launch(tape.services);
@@ -230,7 +232,8 @@ Status Tape::sweep() {
   for (const auto &[adjoint, zeros] : tape.plan.zerosAfter())
     tape.services.oweZeros(adjoint, zeros);
   forgetUnwanted();
-  // Host functions can have changed any field: watch for changes from here.
+  // Host functions of the sweep can have changed any field: detect changes of
+  // fields from here on.
   tape.changes.begin(tape.memory);
   if (status)
     tape.report.checkEffect(tape.recording, tape.plan, tape.seeds.names(),
@@ -362,7 +365,7 @@ const std::string &Tape::explain() {
   if (planHolds(/*cleared=*/true) && tape.isDirect() &&
       tape.direct.findReverse(tape.plan, tape.forms))
     tape.report.addDirect(tape.plan.replayed().size(), "adjoints");
-  // The ways in which a device runs sequences of launches.
+  // Report the ways in which a device runs the sequences of launches.
   if (const DeviceQueue *queue = tape.services.owner().getDeviceQueue())
     tape.report.add(queue->explain());
   return tape.report.get();

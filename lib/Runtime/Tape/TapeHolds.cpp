@@ -23,7 +23,8 @@ Status TapeHolds::add(const FieldPtr &field, HoldKind kind) {
     used.erase(entry);
     return status;
   }
-  // Another thread left these values; the tape's gradients start at zero.
+  // Zero the gradients that another thread has left: the tape's gradients start
+  // at zero.
   if (isNew && clears && field->isAdjoint() && field->isDirtiedByOther()) {
     const char zeros[8] = {};
     field->settleZeros();

@@ -30,7 +30,7 @@ public:
   /// that other threads have written.
   Status add(const Kernel &kernel);
   Status add(const FieldPtr &field, HoldKind kind);
-  /// The kind of hold on gradients that the tape's sweep adds to.
+  /// The kind of hold that the tape has on gradients to which its sweep adds.
   HoldKind gradientKind() const {
     return clears ? HoldKind::Write : HoldKind::Add;
   }

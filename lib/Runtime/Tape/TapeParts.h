@@ -32,13 +32,14 @@ struct Tape::Parts {
     reverse.liveFields = [this] { return seeds.liveFields(false, holds); };
   }
 
-  /// Unique among the tapes of the runtime.
+  /// Identifies the tape among all tapes of the runtime.
   uint64_t stamp;
   TapeServices services;
   bool isOpen = false;
-  /// Memory has run out during an operation: the tape can no longer be used.
+  /// Whether memory has run out during an operation: the tape can no longer be
+  /// used.
   bool isSpoilt = false;
-  /// A replay has failed before its end.
+  /// Whether a replay has failed before its end.
   bool isHalfRun = false;
   /// The nesting depth of suspend(), and the number of the next launch when the
   /// outermost suspend() was called.

@@ -54,7 +54,7 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
   if (interest == Interest::Leads &&
       (!TapedKernel::targets(kernel).empty() || caller.hasTargets))
     return Decision::Replay;
-  // Otherwise the adjoint only zeroes adjoints of elements that the kernel
+  // Any other adjoint only zeroes adjoints of elements that its kernel
   // overwrote, which matters only to earlier writers of these elements.
   if (interest != Interest::None && zeroesAt(index) &&
       live.isOverwritten(record))
@@ -79,7 +79,8 @@ void TapePlan::findUnwanted(const TapeRecording &recording,
       varied.addAll();
     if (record.kind != Kind::Launch)
       continue;
-    // Arrays can depend on wanted fields, and their gradients are wanted.
+    // A kernel that adds to adjoints of the caller's arrays counts as a reader:
+    // arrays can depend on wanted fields, and their gradients are wanted.
     bool leads =
         varied.isRead(record) || record.kernel->callerAdjoints().hasTargets;
     if (!leads)
@@ -100,7 +101,8 @@ void TapePlan::make(const TapeServices &services,
   for (const FieldPtr &field : wanted)
     inputs.wanted.push_back(field.get());
   for (const KernelPtr &kernel : recording.kernels())
-    // Ignore a destroyed tree here: launching the kernel will fail.
+    // Ignore a failure of bind() for a destroyed tree: launching the kernel
+    // reports it.
     (void)TapedKernel::bind(*kernel, inputs.epoch);
   std::shared_ptr<const KnownPlan> known = services.knownPlan();
   if (known && known->find(recording, inputs, results))

@@ -34,7 +34,8 @@ public:
   /// gradients are asked for; all if there are none.
   void make(const TapeServices &services, const TapeRecording &recording,
             std::vector<Field *> live, const std::vector<FieldPtr> &wanted);
-  /// Whether there are decisions for these records, valid or not.
+  /// Whether decisions for these records exist, whether or not they are still
+  /// valid.
   bool isMade(const TapeRecording &recording) const {
     return results.decisions.size() == recording.size();
   }
@@ -48,12 +49,12 @@ public:
   void decideAgain(const TapeRecording &recording, size_t index);
 
   Decision operator[](size_t index) const { return results.decisions[index]; }
-  /// The replayed records, from last to first.
+  /// The records that the sweep replays, from last to first.
   const std::vector<uint32_t> &replayed() const { return results.needed; }
   bool replaysAny() const;
   int64_t numSkipped() const;
   int64_t numUnwanted() const;
-  /// The counter for a record that is not replayed.
+  /// The statistics counter for a record that is skipped by this decision.
   static SkipCount counterOf(Decision decision) {
     return decision == Decision::SkipUnwanted ? SkipCount::UnwantedLaunches
                                               : SkipCount::TapeSkipped;
@@ -63,7 +64,7 @@ public:
   bool zeroesAt(size_t index) const {
     return results.overwrites.isRepeated[index];
   }
-  /// Elements whose adjoints are zero after the sweep.
+  /// Elements whose adjoints are set to zero after the sweep.
   const Overwrites::Zeros &zerosAfter() const {
     return results.overwrites.storedOnce;
   }
@@ -77,14 +78,14 @@ private:
                     const std::vector<FieldPtr> &wanted);
   void decideAll(const TapeRecording &recording);
 
-  /// By record: how the launch matters for wanted gradients.
+  /// For each record, how its launch matters for the wanted gradients.
   enum class Interest : uint8_t {
     Leads, // it reads values that depend on wanted fields
     Ends,  // it only overwrites such values
     None
   };
   std::vector<Interest> interests;
-  /// The state for which the decisions are valid.
+  /// The inputs for which the decisions are valid.
   PlanInputs inputs;
   PlanResults results;
 };

@@ -29,7 +29,8 @@ Tape::~Tape() {
   try {
     end();
   } catch (...) {
-    // A destructor cannot report the failure; the tape has ended all the same.
+    // A destructor cannot report a failure of end(); the tape has ended all the
+    // same.
   }
   releaseFields();
   parts->services.remove(*this);
@@ -44,7 +45,7 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
   DeviceContext *device = runtime.getDeviceContext();
   TapeServices services(runtime);
   // A device recognises a repeated recording by the launches that it queues, so
-  // those of two threads must not mix.
+  // launches of two recording threads must not mix.
   if (device && services.anyRecording())
     return Status::failure(StatusCode::Usage,
                            "another thread records a tape, and a GPU has room "
@@ -172,14 +173,16 @@ Status Tape::adopt(Kernel &kernel) {
     if (tree)
       parts->topology.watch(tree);
   const void *uses = &parts->memory.usesOf(kernel);
-  // A kernel has room for the uses of one tape: only a lone tape sets them.
+  // A kernel has room for the `uses` of one tape: set them only while no other
+  // tape records.
   if (!parts->services.recordsTogether())
     TapedKernel::setKnown(kernel, parts->stamp, uses);
   parts->recording.keep(kernel);
   return Status::success();
 }
 
-/// The tape's data about a kernel, which it adopts if it has not yet.
+/// Finds the tape's data about a kernel; adopts the kernel if there are none
+/// yet.
 Status Tape::findUses(Kernel &kernel, const void *&uses) {
   bool isAlone = !parts->services.recordsTogether();
   uses = TapedKernel::knownTo(kernel, parts->stamp);
@@ -256,7 +259,8 @@ Status Tape::launch(Launch &launch, Kernel &kernel, const uint64_t *args,
 }
 
 //===----------------------------------------------------------------------===//
-// Host functions, writes of the host, activity, arrays
+// Records other than launches: host functions, writes of the host, activity,
+// arrays
 //===----------------------------------------------------------------------===//
 
 void Tape::recordCallback(TapeCallback callback) {

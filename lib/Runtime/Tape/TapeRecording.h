@@ -71,7 +71,7 @@ public:
   HostWrite write(const Record &record) const {
     return writes[record.payload]->get();
   }
-  /// For display: "@f", "(write of @x)", "(host function)".
+  /// Describes a record for display: "@f", "(write of @x)", "(host function)".
   std::string describe(const Record &record) const;
 
   /// The launched kernels, in order of first launch.

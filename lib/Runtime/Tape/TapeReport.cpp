@@ -46,7 +46,7 @@ static std::string explainStored(const Kernel &kernel, bool loads) {
   return text;
 }
 
-/// "@x[3, :]": the elements of an access in a launch.
+/// Describes the elements that an access in a launch touches: "@x[3, :]".
 static std::string describePlace(const Access &access, const uint64_t *args) {
   std::string text = "@" + access.field->name();
   if (access.fixed.empty())

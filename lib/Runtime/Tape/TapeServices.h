@@ -141,8 +141,8 @@ public:
   void setKnownPlan(std::shared_ptr<const KnownPlan> plan) const {
     runtime.recordings().setKnownPlan(std::move(plan));
   }
-  /// True once for each sequence that is checked for lost gradients, and for
-  /// each cut.
+  /// isNewSequence: true at the first call for a sequence, which is then
+  /// checked for lost gradients. isNewCut: true at the first call for a cut.
   bool isNewSequence(size_t hash) const {
     return runtime.recordings().sequencesSeen.insert(hash).second;
   }

@@ -38,8 +38,8 @@ struct FormatSpec {
   static std::optional<FormatSpec> parse(std::string_view text);
 
   std::string apply(uint64_t magnitude, bool negative) const;
-  /// `shortest`: the text, without sign, to use if neither type nor precision
-  /// is given.
+  /// Formats a number. `shortest`: the text, without sign, to use if neither
+  /// type nor precision is given.
   std::string apply(double value, const std::string &shortest) const;
 
 private:

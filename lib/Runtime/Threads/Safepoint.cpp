@@ -18,10 +18,10 @@ std::atomic<uint64_t> tai_rt_tick{1};
 std::atomic<unsigned> safepoint::runningHandlers{0};
 
 namespace {
-/// Counts ticks while threads look at them. If no thread has looked since the
-/// last tick, the clock's thread makes one more tick and ends; a thread that
-/// sees this tick starts a new one. Never destroyed, since threads may look
-/// until the very end of the process.
+/// The clock of safepoints, which counts ticks while threads look at them. If
+/// no thread has looked since the last tick, the clock's thread makes one more
+/// tick and ends; a thread that sees this tick starts a new one. Never
+/// destroyed, since threads may look until the very end of the process.
 class Clock {
 public:
   static Clock &get() {

@@ -85,7 +85,7 @@ ForkGuard::~ForkGuard() {
 }
 
 bool ForkGuard::sameProcess() const {
-  // Without the page (an old kernel): one system call for each fork-join.
+  // Without the page, on an old kernel, each fork-join calls getpid().
   return page ? *page == 1 : owner == getpid();
 }
 
@@ -120,7 +120,7 @@ WorkerPool::WorkerPool(int threads)
       break;
     pthread_t thread;
     if (pthread_create(&thread, nullptr, &WorkerPool::workerMain, start) != 0) {
-      // The system creates no more threads; the existing threads do the work.
+      // If the system creates no more threads, the existing ones do the work.
       delete start;
       break;
     }

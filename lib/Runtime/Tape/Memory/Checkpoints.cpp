@@ -47,7 +47,8 @@ int64_t mlir::tai::runtime::binomialCost(int64_t steps, int64_t snapshots) {
 }
 
 int64_t mlir::tai::runtime::binomialSplit(int64_t steps, int64_t snapshots) {
-  // The cost is convex in the position of the next snapshot: bisect.
+  // Bisect, since the cost is a convex function of the position of the next
+  // snapshot.
   auto cost = [&](int64_t at) {
     return at + binomialCost(at, snapshots) +
            binomialCost(steps - at, snapshots - 1);
@@ -171,7 +172,7 @@ static int64_t bytesOf(const std::vector<Piece> &pieces, size_t first = 0) {
 
 void Checkpoints::settle() {
   Log &top = logs.back();
-  // Cells that have become active held zeros before.
+  // Cells that the record has activated held zeros before.
   for (Track *track : growing) {
     auto first = static_cast<int64_t>(track->loggedBy.size());
     track->refresh();
@@ -183,7 +184,7 @@ void Checkpoints::settle() {
   }
   growing.clear();
   size_t kept = unsettled;
-  // After an interruption, keep all copies, needed or not.
+  // If the host has interrupted the comparison, keep all copies, needed or not.
   bool compares = safepoints.begin(bytesOf(top.pieces, unsettled)).ok();
   for (size_t i = unsettled; i < top.pieces.size(); ++i) {
     compares = compares && safepoints.pass().ok();
@@ -235,7 +236,8 @@ void Checkpoints::mergeIntoPrevious(size_t index) {
     for (int64_t cell = piece.cell; cell < piece.endCell; ++cell)
       if (track.loggedBy[cell] == newer.id)
         track.loggedBy[cell] = older.id;
-    // The older snapshot can lack the track, or cells activated later.
+    // The older snapshot can lack this field, or cells that became active
+    // later.
     track.marks.resize(static_cast<size_t>(track.numCells()));
     auto begin = track.marks.begin() + piece.cell;
     auto end = track.marks.begin() + piece.endCell;

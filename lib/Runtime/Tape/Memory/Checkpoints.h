@@ -50,7 +50,8 @@ public:
   /// copies of cells that did not change.
   Status log(Track &track, SlabRange range);
   void settle();
-  /// Whether a copy was made outside forward mode, and so without its tangents.
+  /// Whether some snapshot was copied outside forward mode, and so lacks
+  /// tangents.
   bool lackTangents() const { return lacksTangents; }
 
   /// Pushes a new snapshot, at a record.
@@ -84,7 +85,8 @@ private:
     uint32_t start;
     uint32_t id;
     int64_t bytes = 0;
-    /// Where pieces overlap, later pieces hold older contents.
+    /// Copies of contents; if pieces overlap, the later piece holds older
+    /// contents.
     std::vector<Piece> pieces;
   };
   Status logOne(Track &track, SlabRange range);
@@ -99,7 +101,8 @@ private:
   std::vector<Piece> finals;
   size_t unsettled = 0;
   bool lacksTangents = false;
-  /// Sparse fields whose cells the running record may activate.
+  /// The tracks of sparse fields in which the running record may activate
+  /// cells.
   std::vector<Track *> growing;
   uint32_t ids = 0;
   uint32_t stride = 1;
@@ -107,7 +110,7 @@ private:
   int64_t total = 0, finalBytes = 0;
   int64_t largest = 0;
   int64_t most = 0;
-  /// Safepoints during copies and comparisons.
+  /// Checks for interrupts during copies and comparisons.
   CopySafepoints safepoints;
 };
 

@@ -30,7 +30,8 @@ SlabRange TapeMemory::Use::locateAny(const uint64_t *args) const {
     number = number * extent + position;
     located *= extent;
   }
-  // Save the division, in each launch, where the indices fix one slab.
+  // Avoid the division, which each launch would do, if the indices fix one
+  // slab.
   int64_t all = track->slabs.count();
   int64_t count = located == all ? 1 : all / located;
   return {number * count, count};
@@ -56,7 +57,7 @@ Track &TapeMemory::trackOf(const FieldPtr &field,
         return part.track == track.get() && !part.range.isAll();
       }))
     return *track;
-  // Until now, the field was only used as a whole, or in larger slabs.
+  // The earlier uses of the field are of the whole field, or of larger slabs.
   track->stored.lose({}, lostStored);
   Track finer(track->field, std::move(wanted));
   finer.readAnywhere = track->readAnywhere;
@@ -171,7 +172,8 @@ TapeMemory::Part TapeMemory::followedForward(Track &track, SlabRange range) {
   const FieldPtr &primal = *track.ofPrimal;
   if (!primal)
     return {&track, range};
-  // The slabs of a field and its dual can differ: follow the whole field.
+  // The slabs of a dual can differ from the slabs of its primal field: follow
+  // the whole primal field.
   return {primal->isAdjoint() ? nullptr : &trackOf(primal, {}), {}};
 }
 
@@ -387,7 +389,7 @@ void TapeMemory::notePeak() {
 }
 
 void TapeMemory::settle() {
-  // Most launches of most programs save nothing.
+  // Return early: most launches of most programs save nothing.
   if (growing.empty() && unsettled == pieces.size() && !checkpoints)
     return;
   keepZeros();
@@ -396,7 +398,7 @@ void TapeMemory::settle() {
   int64_t bytes = 0;
   for (size_t i = unsettled; i < pieces.size(); ++i)
     bytes += pieces[i].bytes();
-  // After an interruption, keep all copies, needed or not.
+  // If the host has interrupted the comparison, keep all copies, needed or not.
   bool compares = safepoints.begin(bytes).ok();
   size_t kept = unsettled;
   for (size_t i = unsettled; i < pieces.size(); ++i) {
@@ -404,7 +406,8 @@ void TapeMemory::settle() {
     Piece &piece = pieces[i];
     Track &track = *piece.track;
     if (compares && piece.holds()) {
-      // Unchanged so far, so the last read still needs a later save.
+      // The contents have not changed, so the last read still needs a save
+      // before a later change.
       saved -= piece.keptBytes();
       std::fill(track.savedAt.begin() + piece.cell,
                 track.savedAt.begin() + piece.endCell, 0);
@@ -467,7 +470,8 @@ int64_t TapeMemory::mostBytes(uint32_t from, uint32_t to) const {
        i < candidates.size() && candidates[i].record < to; ++i)
     if (candidates[i].stamp >= stampOf(from))
       bytes += candidates[i].track->bytesOf(candidates[i].range);
-  // The duals have the size of their fields.
+  // In forward mode the duals of the fields are saved, too; they have the same
+  // size.
   return runtime.isForward() ? 2 * bytes : bytes;
 }
 
@@ -603,7 +607,7 @@ Status TapeMemory::failWithoutTangents() {
 Status TapeMemory::beginReverse() {
   if (Status status = safepoints.checkHandler(); !status)
     return status;
-  // Nothing below may run out of memory.
+  // Allocate now: nothing below may run out of memory.
   some.reserve(pieces.size());
   cursor = pieces.size();
   entered = -1;
@@ -613,13 +617,15 @@ Status TapeMemory::beginReverse() {
                              "the tape has saved values of field '" +
                                  piece.track->field->name() +
                                  "', whose tree has been destroyed");
-  // Values would come back without their tangents.
+  // In forward mode, values that were saved without tangents cannot be
+  // restored.
   if (runtime.isForward() && tangents == Tangents::Lacking)
     return failWithoutTangents();
   return Status::success();
 }
 
-/// Visits the pieces with `before` of the record entered last.
+/// Calls `visit` for the saved pieces that are restored before the adjoint of
+/// the record which the sweep entered last.
 template <typename Visit> void TapeMemory::forEachEntered(const Visit &visit) {
   for (size_t i = cursor; i > 0 && pieces[i - 1].record == entered; --i)
     if (pieces[i - 1].before)
@@ -689,7 +695,7 @@ void TapeMemory::leave(bool reexecutes) {
 }
 
 void TapeMemory::endReverse() {
-  // Pieces with `before` of the record entered last have been restored already.
+  // The pieces of the last record that have `before` set are restored already.
   some.clear();
   for (; cursor > 0 && pieces[cursor - 1].record == entered; --cursor)
     if (!pieces[cursor - 1].before)

@@ -44,21 +44,21 @@ public:
     /// The fixed indices along a leading part of the dimensions that tell the
     /// track's slabs apart.
     std::vector<FixedIndex> fixed;
-    /// The range of the field's indices along each of these dimensions.
+    /// The range of the field's indices along each dimension of `fixed`.
     std::vector<SlabRange> ranges;
-    /// For changes: the adjoint reads the version of the field before the
-    /// launch.
+    /// For a use that changes the field: whether the adjoint reads the contents
+    /// from before the launch.
     bool before = false;
 
-    /// The only fixed index, if it is a multiple of one argument plus a
-    /// constant: a launch evaluates it without following pointers.
+    /// If the only fixed index is a multiple of one argument plus a constant:
+    /// this term, which a launch evaluates without following pointers.
     struct Single {
       LaunchTerm term;
       int64_t constant = 0, extent = -1;
     } single;
 
-    /// The slabs for these arguments, or all slabs if an index is not known.
-    /// Inline, since each launch evaluates several uses.
+    /// The slabs that a launch with these arguments uses; all slabs if an index
+    /// is not known. Inline, since each launch evaluates several uses.
     __attribute__((always_inline)) SlabRange
     locate(const uint64_t *args) const {
       if (__builtin_expect(single.extent != track->slabs.count(), false))
@@ -85,10 +85,10 @@ public:
     std::vector<Use> changes;
     /// Reads of the adjoint.
     std::vector<Use> reads;
-    /// Reads of the adjoint variant that loads stored outputs.
+    /// Reads of the adjoint variant that loads the kernel's stored outputs.
     std::vector<Use> stored;
-    /// Changes and reads of the kernel itself: memory that the reverse of a
-    /// host function which launches the kernel may read.
+    /// All accesses of the kernel itself: the reverse of a host function that
+    /// launches the kernel may read this memory.
     std::vector<Use> touches;
   };
   /// The part to save and restore for a change of `range`. In forward mode, a
@@ -124,7 +124,7 @@ public:
   /// Call before the host writes a field or, with an index, a slab of it.
   Status beforeWrite(const FieldPtr &field, const int64_t *index,
                      uint32_t record);
-  /// Assigns the launches and writes since the last call to this record.
+  /// Makes the launches and writes since the last call a part of this record.
   void endParts(uint32_t record, bool readsInReverse);
   /// Drops copies of cells that did not change.
   void settle();
@@ -132,14 +132,15 @@ public:
   /// Starts a forward replay of the same records; call beforeReplay before each
   /// of them.
   void restart();
-  /// `oldest`: the first record whose adjoint may need the overwritten values.
+  /// Saves the values that a repeated record overwrites. `oldest`: the first
+  /// record whose adjoint may need them.
   Status beforeReplay(uint32_t record, uint32_t oldest = 0);
-  /// Drops saved values; the records from this one on will be re-executed.
+  /// Drops all saved values; the records from `record` on will be re-executed.
   void beginSegment(uint32_t record);
-  /// An upper bound of the bytes that running [from, to) may save.
+  /// An upper bound of the bytes that running the records [from, to) may save.
   int64_t mostBytes(uint32_t from, uint32_t to) const;
-  /// The parts that a host function or a write of the host changes; for
-  /// snapshots only.
+  /// The parts of fields that the record, a host function or a write of the
+  /// host, changes; kept for snapshots only.
   const std::vector<Part> &partsAt(size_t record) const;
   /// Whether memory was changed by something that is not recorded.
   bool lostChanges() const { return lost; }
@@ -210,7 +211,7 @@ private:
   Status saveOne(const Candidate &candidate);
   Status addPiece(const Candidate &candidate, int64_t cell, int64_t endCell);
   void stampSaved(const Candidate &candidate, int64_t cell, int64_t endCell);
-  /// Saves zeros for cells that the record has activated.
+  /// Saves zeros as the former contents of cells that the record has activated.
   void keepZeros();
   static void swap(Piece &piece);
   /// Swaps all pieces in `some`, which are of one record. If the host
@@ -222,32 +223,35 @@ private:
   static uint32_t stampOf(uint32_t record) { return record + 2; }
 
   Runtime &runtime;
-  /// By place in a tree: fields at the same place share a track.
+  /// The tracks by tree and offset: fields at the same place of a tree share a
+  /// track.
   std::map<std::pair<const Tree *, int64_t>, std::unique_ptr<Track>> tracks;
   std::unordered_map<const Kernel *, std::unique_ptr<KernelUses>> kernelUses;
   std::vector<Candidate> candidates;
-  /// Accesses since the last record, by launches of a host function and by
-  /// writes; and the changes among them, kept for snapshots.
+  /// parts: accesses since the last record, by launches of a host function and
+  /// by writes. changedParts: the changes among them, kept for snapshots.
   std::vector<Part> parts, changedParts;
   std::unordered_map<size_t, std::vector<Part>> partsByRecord;
   bool lost = false;
-  /// By stamp: records whose stored outputs have been changed.
+  /// For the stamp of each record: whether its stored outputs have been changed
+  /// since.
   std::vector<bool> lostStored;
   Checkpoints *checkpoints = nullptr;
-  /// In the order of their records.
+  /// The saved pieces, in the order of their records.
   std::vector<Piece> pieces;
-  /// Pieces from here on have not been compared with their fields yet.
+  /// The pieces from this number on have not been compared with their fields
+  /// yet.
   size_t unsettled = 0;
   /// Values that were saved outside forward mode lack their tangents.
   enum class Tangents { Kept, Lacking };
   Tangents tangents = Tangents::Kept;
-  /// Safepoints during saves, comparisons and restorations.
+  /// Checks for interrupts during saves, comparisons and restorations.
   CopySafepoints safepoints;
-  /// Copies of sparse fields, whose cells the running record may activate.
+  /// Saves from sparse fields in which the running record may activate cells.
   std::vector<Candidate> growing;
-  /// Next candidate of a forward replay.
+  /// The number of the next element of `candidates` in a forward replay.
   size_t nextCandidate = 0;
-  /// In a reverse sweep: pieces from here on have been restored.
+  /// In a reverse sweep, the pieces from this number on have been restored.
   size_t cursor = 0;
   /// The record whose pieces with `before` have been restored, or -1.
   int64_t entered = -1;

@@ -90,7 +90,8 @@ bool TapeTopology::updateLater(const TreePtr &tree, uint32_t record) {
 }
 
 void TapeTopology::settle(uint32_t record) {
-  // The levels of a tree are adjacent in `watched`.
+  // The levels of a tree are adjacent in `watched`, so one update serves them
+  // all.
   const Tree *later = nullptr;
   for (Watched &entry : watched) {
     if (entry.tree.get() == later)
@@ -110,7 +111,8 @@ void TapeTopology::noteLoops(uint32_t record, const LoopLists &lists) {
 }
 
 void TapeTopology::restart() {
-  // Run deferred updates of earlier records before `changed` is cleared.
+  // epoch() runs deferred updates of earlier records: call it before `changed`
+  // is cleared.
   for (Watched &entry : watched)
     if (entry.tree->base())
       (void)entry.node->epoch();
@@ -320,8 +322,8 @@ int64_t TapeTopology::dropAdjoints(const Change &change, Field &field,
   auto has = [](const std::vector<int64_t> &cells, int64_t cell) {
     return std::binary_search(cells.begin(), cells.end(), cell);
   };
-  // A cell cleared before the sweep reached it is not part of any initial
-  // state.
+  // A cell that an earlier record has cleared holds no initial value of the
+  // field.
   auto wasCleared = [&](int64_t cell) {
     for (size_t i = 0; i < firstPassed; ++i)
       if (changed[i].node == change.node && has(changed[i].cleared, cell))

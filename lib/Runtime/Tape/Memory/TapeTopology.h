@@ -35,15 +35,16 @@ public:
   // Forward
   //===--------------------------------------------------------------------===//
 
-  /// Call before anything that may change activity in the tree.
+  /// Follows the activity of the tree from now on; call before anything that
+  /// may change the activity.
   void watch(const TreePtr &tree);
-  /// Call after a record: settle records its changes, noteLoops the cells that
-  /// its loops visited.
+  /// Call after a record. settle: records the changes of activity. noteLoops:
+  /// records the cells that the loops of a launch visited.
   void settle(uint32_t record);
   void noteLoops(uint32_t record, const LoopLists &lists);
   /// Starts a forward replay of the same records.
   void restart();
-  /// Call after the last record.
+  /// Ends the recording; call after the last record.
   void end();
 
   //===--------------------------------------------------------------------===//
@@ -57,8 +58,8 @@ public:
   /// Restores the activity before or after the record.
   void goBefore(uint32_t record) { seek(record); }
   void goAfter(uint32_t record) { seek(record + 1); }
-  /// goAfter for the sweep: also zeroes adjoints of cells that later records
-  /// deactivated.
+  /// Restores the activity after the record, for the sweep: also zeroes
+  /// adjoints of cells that later records deactivated.
   void enter(uint32_t record);
   /// Call before and after the record is re-executed from the state before it.
   /// Keeps the adjoints of cells that the record deactivates, since these
@@ -83,7 +84,8 @@ private:
   struct Watched {
     TreePtr tree;
     SparseNode *node;
-    /// The current active cells, and those before the first record.
+    /// known: the cells that were active at the last update. first: the cells
+    /// that were active before the first record.
     ActiveListPtr known, first;
     /// All cells that were active at any record.
     std::vector<int64_t> ever = {};
@@ -103,7 +105,7 @@ private:
   /// once.
   bool updateLater(const TreePtr &tree, uint32_t record);
   void add(Change change);
-  /// Restores the activity after this many records.
+  /// Restores the activity after the first `position` records.
   void seek(uint32_t position);
   void clearAdjoints(const Change &change);
   /// Zeroes the adjoints in cells that are inactive after all records. Returns
@@ -122,8 +124,8 @@ private:
 
   Runtime &runtime;
   std::vector<Watched> watched;
-  /// In the order of records. Changes from `cursor` on are undone, and the
-  /// sweep has passed the changes from `passed` on.
+  /// The changes of activity, in the order of records. Changes from `cursor` on
+  /// are undone, and the sweep has passed the changes from `passed` on.
   std::vector<Change> changed;
   size_t cursor = 0;
   size_t passed = 0;

@@ -15,7 +15,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// Bytes of a cell, and of a piece, in a field that is larger than this.
+/// The size of a cell (the unit of saving), and of a piece, in a field that is
+/// larger.
 static constexpr int64_t cellBytes = 8 << 10;
 
 Track::Track(FieldPtr fieldPtr, std::vector<int> dimensions)

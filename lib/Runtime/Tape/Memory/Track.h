@@ -31,8 +31,9 @@ struct Track {
 
   FieldPtr field;
   Slabs slabs;
-  /// The granularity of saving, called a cell here: a slab or part of one, or
-  /// the field's elements in a cell of the sparse level above it.
+  /// The number of elements of a cell, the unit in which contents are saved: a
+  /// slab or a part of one or, in a sparse field, the elements in a cell of the
+  /// sparse level above.
   int64_t cellElements;
   int64_t cellsPerSlab;
 
@@ -54,7 +55,7 @@ struct Track {
   /// A list of all cells of the level, if all cells are kept; see refresh.
   ActiveListPtr everyCell;
 
-  /// Stored outputs that adjoints may load.
+  /// The stored outputs of kernels in this field that adjoints may load.
   StoredOutputs stored;
 
   /// The track of the field's dual, or null. In forward mode the dual is saved
@@ -115,7 +116,8 @@ struct Track {
 struct Piece {
   Track *track;
   uint32_t record;
-  /// Restored before the adjoint of the record instead of after it.
+  /// Whether the piece is restored before the adjoint of its record, not after
+  /// it.
   bool before;
   int64_t cell, endCell;
   std::unique_ptr<char[]> data;
@@ -150,7 +152,7 @@ template <typename Wanted, typename Body>
 Status Track::forEachRun(SlabRange range, const Wanted &wanted,
                          const Body &body) const {
   int64_t longest = longestRun();
-  // With sparse cells, a range is all or one slab.
+  // In a field with sparse cells, `range` is the whole field or one slab.
   if (!range.isAll() && slabs.byCell()) {
     const std::vector<int64_t> &cells = slabs.cellsOf(range.first);
     for (size_t i = 0; i < cells.size();) {
