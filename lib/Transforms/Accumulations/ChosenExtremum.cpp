@@ -16,8 +16,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Limits of the table: each condition doubles its rows, and the values of all
-/// ops are computed in each row.
+/// Limits of the truth table: each condition doubles the number of its rows,
+/// and the values of all ops are computed in each row.
 static constexpr unsigned kMostAtoms = 12;
 static constexpr unsigned kMostVisits = 100;
 
@@ -128,7 +128,8 @@ bool ChosenExtremum::addConversions(Value value, Value number) {
   return true;
 }
 
-/// True if the given number was extended by the same op as the element.
+/// True unless another op has extended `number` to a wider type than the op
+/// that has extended the element.
 bool ChosenExtremum::isExtendedAlike(Value number) const {
   return !extension || isa<FloatType>(number.getType()) ||
          matchPattern(number, m_Constant()) ||
@@ -136,8 +137,8 @@ bool ChosenExtremum::isExtendedAlike(Value number) const {
           number.getDefiningOp()->getName() == *extension);
 }
 
-/// True if `value` equals the given number, possibly in the type of the
-/// element.
+/// True if `value` equals `given`, the number that is compared with the
+/// element, possibly in the element's type.
 bool ChosenExtremum::isGiven(Value value) const {
   APInt longer, narrow;
   if (matchPattern(given, m_ConstantInt(&longer)) &&
@@ -241,7 +242,7 @@ bool ChosenExtremum::collectValue(Value value, Operation *user) {
            collectValue(select.getTrueValue(), user) &&
            collectValue(select.getFalseValue(), user);
   if (auto branch = dyn_cast<scf::IfOp>(op)) {
-    // The branch moves to its user, which must be in its block.
+    // The branch will move to its user, so both must be in one block.
     if (branch->getNumResults() != 1 || branch->getBlock() != user->getBlock())
       return false;
     for (Operation *between = branch; between != user;
@@ -262,7 +263,8 @@ bool ChosenExtremum::collectValue(Value value, Operation *user) {
 // The table
 //===----------------------------------------------------------------------===//
 
-/// The result of the comparison `op` in the rows of this order.
+/// The result of the comparison `op` where the given number and the former one
+/// are in this order.
 bool ChosenExtremum::compares(Operation *op, Order order) const {
   bool isLess = order == Order::Less;
   bool isLeftOld = old.reaches(op->getOperand(0)),
@@ -307,7 +309,8 @@ bool ChosenExtremum::holds(Value condition, Row row) const {
   return holds(taken.front().getTerminator()->getOperand(number), row);
 }
 
-/// True if `value` is the given number, not the former one, in this row.
+/// True if `value` is the given number, not the former one, in this row of the
+/// truth table.
 bool ChosenExtremum::takes(Value value, Row row) const {
   if (formerValues.contains(value))
     return false;
@@ -343,7 +346,8 @@ bool ChosenExtremum::decide() {
   for (unsigned holding = 0; holding != 1u << atoms.size(); ++holding) {
     bool ifLess = takes(Row{Order::Less, holding});
     bool ifGreater = takes(Row{Order::Greater, holding});
-    // An atomic leaves an element that is NaN as it is.
+    // An atomic extremum leaves an element that is NaN as it is, so the program
+    // must not replace one.
     if (asksForNaN && takes(Row{Order::FormerIsNaN, holding}))
       return false;
     if (!ifLess && !ifGreater)
@@ -367,9 +371,9 @@ bool ChosenExtremum::decide() {
          llvm::all_of(givenValues, [&](Value value) { return isGiven(value); });
 }
 
-/// True if no more iterations run an arm of `branch` once constants replace the
-/// comparisons, or if the arms may run in any iteration. Ops that compute
-/// compared values may, because the program runs them in any case.
+/// True if constants in place of the comparisons do not let more iterations run
+/// an arm of `branch`, or if its arms may run in any iteration. Ops that
+/// compute compared values may, because the program always runs them.
 bool ChosenExtremum::mayRunMore(scf::IfOp branch,
                                 const llvm::SetVector<Operation *> &compared) {
   auto isHarmless = [&](Operation *op) {
@@ -458,7 +462,7 @@ void ChosenExtremum::sink(OpBuilder &b, Value value,
   auto known = extrema.find(value);
   if (known != extrema.end() || !old.reaches(value)) {
     Value result = known == extrema.end() ? value : known->second.given;
-    // `given` has the same value as `result`, and dominates the store.
+    // `given` equals `result` and dominates the store.
     if (isGivenKnown && given.getType() == result.getType())
       result = given;
     return emit(b, result);

@@ -33,7 +33,7 @@ namespace mlir::tai {
 /// True for minima and maxima.
 bool isExtremum(AtomicKind kind);
 
-/// The bits of a number; an index has 64.
+/// The width of a type of numbers in bits; an index has 64.
 unsigned getNumberWidth(Type type);
 
 /// True if no op in `op` other than `but` has an effect other than a read.
@@ -66,7 +66,7 @@ public:
   ArrayRef<DifferentiableAccessInterface> getLoads() const { return loads; }
   /// Ops between the loads and the store.
   ArrayRef<Operation *> getPath() const { return path.getArrayRef(); }
-  /// Results of branches on the path.
+  /// Results of branches between the loads of the element and the store.
   ArrayRef<OpResult> getBranches() const { return branches; }
 
   /// Calls `emit` wherever the element becomes the minimum of itself and a
@@ -124,10 +124,12 @@ private:
 
   AtomicKind kind = AtomicKind::Min;
   Value given, former;
-  /// Whether `given` dominates the store.
+  /// Whether `given`, the number that is compared with the element, dominates
+  /// the store.
   bool isGivenKnown = false;
   std::optional<OperationName> extension;
-  /// Whether comparisons interpret integers as signed or unsigned.
+  /// Whether the comparisons found so far interpret integers as signed or
+  /// unsigned.
   enum class Signs { None, Signed, Unsigned, Both };
   Signs signs = Signs::None;
   bool asksForNaN = false;

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Writes the option of the context to the modes of kernels, which is where the
-// plan of reductions reads it.
+// Copies the option for a fixed order of sums from the context to the modes of
+// kernels, where the plan of reductions reads it.
 //
 //===----------------------------------------------------------------------===//
 

@@ -175,8 +175,9 @@ Value IterationShadow::isFree(Value array,
                               DifferentiableAccessInterface access) {
   Value own = getIteration(), isFree;
   for (Value number : getNumbers(access)) {
-    // An atomic read is not moved before the update that leaves the iteration's
-    // own number, which other iterations look for.
+    // Read by an atomic maximum with -1, which, unlike a load, is not moved
+    // before the update that leaves this iteration's own number for other
+    // iterations.
     Value found = memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::maximumf,
                                               real(-1), array, number);
     Value isMine = isNoneOr(found, own);

@@ -32,7 +32,8 @@ public:
   create(ParallelForOp loop, DifferentiableAccessInterface access,
          Value isWanted = {});
 
-  /// An array of -1, allocated before the loop and freed after it.
+  /// Creates a shadow array filled with -1: allocated before the loop, freed
+  /// after it.
   Value createArray();
   /// Moves the insertion point before `access`.
   void moveTo(DifferentiableAccessInterface access);
@@ -60,7 +61,7 @@ private:
   ParallelForOp loop;
   ImplicitLocOpBuilder b;
   SmallVector<Value> extents;
-  /// The shape of an element; empty for scalars.
+  /// The shape of an element of the storage; empty for scalars.
   SmallVector<int64_t> shape;
   /// The number of components of the storage.
   Value size;

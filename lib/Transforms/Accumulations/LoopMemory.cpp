@@ -112,7 +112,7 @@ bool LoopMemory::isMovable(StoreOp store, LoopBox &box) {
   std::optional<SmallVector<scf::IfOp>> conditions = getConditions(store, box);
   if (!matchPattern(store.getValue(), m_Constant(&value)) || !conditions)
     return false;
-  // The second loop recomputes the operands and conditions of the store.
+  // The loop to which the store moves recomputes its operands and conditions.
   auto isUntouched = [&](LoadOp load) {
     return llvm::all_of(
         accesses[getStorageKey(load)],

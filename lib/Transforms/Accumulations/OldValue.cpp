@@ -47,8 +47,8 @@ OldValue::OldValue(DifferentiableAccessInterface store, ParallelForOp loop,
         add(serial.getRegionIterArg(number));
         continue;
       }
-      // The results of a branch, and of each iteration of a loop, depend on the
-      // condition.
+      // The results of a branch depend on its condition, and the results of a
+      // loop on the condition of each iteration.
       Operation *op = user->hasTrait<OpTrait::IsTerminator>() && parent != loop
                           ? parent
                           : user;

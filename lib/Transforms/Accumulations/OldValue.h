@@ -27,7 +27,8 @@ public:
 
   /// True for a load of the element that the store of this iteration writes.
   bool isLoaded(Value value) const;
-  /// True for a value that is computed from the element or from a component.
+  /// True for a value that is computed from the element or from a component of
+  /// it.
   bool reaches(Value value) const { return dependents.contains(value); }
 
 private:

@@ -44,7 +44,7 @@ static bool haveSameStorage(DifferentiableAccessInterface lhs,
   return getStorageKey(lhs) == getStorageKey(rhs);
 }
 
-/// True for two array arguments that may be the same array.
+/// True if both accesses are to array arguments, which may be the same array.
 static bool mayBeOneArray(DifferentiableAccessInterface lhs,
                           DifferentiableAccessInterface rhs) {
   Value a = lhs.getAccessedStorage().memref;
@@ -53,7 +53,7 @@ static bool mayBeOneArray(DifferentiableAccessInterface lhs,
          isa<BlockArgument>(b);
 }
 
-/// Whether two array arguments are the same array.
+/// Emits whether the array arguments of both accesses are the same array.
 static Value createIsOneArray(ImplicitLocOpBuilder &b,
                               DifferentiableAccessInterface lhs,
                               DifferentiableAccessInterface rhs) {
@@ -165,7 +165,8 @@ public:
   MeetingBuilder(ParallelForOp loop, Location loc)
       : loop(loop), b(loc, loop), rank(loop.getInductionVars().size()) {}
 
-  /// Null if the answer cannot be computed before the loop.
+  /// Emits whether the accesses meet in different iterations; null if that
+  /// cannot be computed before the loop.
   Value create(DifferentiableAccessInterface write,
                DifferentiableAccessInterface read);
 
@@ -195,8 +196,8 @@ private:
   ImplicitLocOpBuilder b;
   IndexBuilder builder;
   size_t rank;
-  /// By dimension: the loop index of the reading iteration minus the loop index
-  /// of the writing iteration.
+  /// For each dimension of the loop: the index of the reading iteration minus
+  /// the index of the writing iteration.
   SmallVector<std::optional<IndexExpr>> differences;
   Value meets;
 };
@@ -251,7 +252,7 @@ Value MeetingBuilder::emit(const IndexAtom &atom) {
   return {};
 }
 
-/// The sum in i64, in which it does not wrap.
+/// Emits the sum in i64, in which it does not wrap.
 Value MeetingBuilder::emit(const IndexExpr &expr) {
   Value sum = number(expr.constant);
   for (const auto &[atom, factor] : expr.terms) {
@@ -299,7 +300,7 @@ bool MeetingBuilder::addEquation(const IndexExpr &lhs, const IndexExpr &rhs) {
       require(compare(arith::CmpIPredicate::eq, distance, number(0)));
     return distance != nullptr;
   }
-  // factor j = factor i + difference
+  // The equation is now factor * j = factor * i + difference.
   int64_t factor = a->second;
   if (difference.isConstant() && difference.constant % factor == 0)
     difference = IndexExpr(difference.constant / factor);
@@ -375,7 +376,8 @@ Value MeetingBuilder::create(DifferentiableAccessInterface write,
       Value distance = emit(*differences[dim]);
       if (!distance)
         return {};
-      // The writing iterations whose reading iteration is in the loop as well.
+      // The range of writing iterations whose reading iteration is in the loop
+      // as well.
       from = b.createOrFold<arith::MaxSIOp>(
           from, b.createOrFold<arith::SubIOp>(readFrom, distance));
       to = b.createOrFold<arith::MinSIOp>(
@@ -424,7 +426,7 @@ void OtherIterations::refuseLaunches() {
                        b.getI32IntegerAttr(TAI_FAIL_CHECK));
       continue;
     }
-    // At the top of the kernel, before all effects.
+    // Move the precondition to the top of the kernel, before all effects.
     Operation *condition = PreconditionOp::create(
         b, isApart, b.getStringAttr(message), ValueRange());
     SetVector<Operation *> slice;

@@ -22,7 +22,8 @@ public:
   using PairFilter = llvm::function_ref<bool(DifferentiableAccessInterface,
                                              DifferentiableAccessInterface)>;
 
-  /// Examines all pairs of a write and a read for which `isKnown` is false.
+  /// Examines all pairs of a write and a read, except pairs for which `isKnown`
+  /// holds.
   void find(ArrayRef<DifferentiableAccessInterface> writes,
             ArrayRef<DifferentiableAccessInterface> reads, PairFilter isKnown);
 

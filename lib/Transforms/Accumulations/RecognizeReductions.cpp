@@ -58,8 +58,9 @@ class LoopUpdates {
 public:
   explicit LoopUpdates(ParallelForOp loop) : loop(loop), same(loop) {}
 
-  /// Possible races are checked at the launch (`atLaunch`), and as the loop
-  /// runs (`atRun`).
+  /// Rewrites the updates of the loop. `oneThread`: a single thread runs the
+  /// loop. `atLaunch`, `atRun`: possible races are checked at the launch, or as
+  /// the loop runs.
   LogicalResult run(bool oneThread, bool atLaunch, bool atRun);
 
 private:
@@ -163,8 +164,8 @@ bool LoopUpdates::isAlone(SharedUpdate &update) {
             llvm::concat<std::unique_ptr<SharedUpdate>>(updates, owned),
             isOfUpdate))
       continue;
-    // A read that may reach another element is allowed, as it is beside an
-    // atomic.
+    // A read that may reach another element is allowed beside an update, as it
+    // is beside an atomic.
     if (other.getAccessKind() == AccessKind::Read &&
         !same.reachSame(store, other))
       continue;
@@ -201,7 +202,8 @@ LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
       return isOwn && (kind == AtomicKind::Add || kind == AtomicKind::Mul ||
                        kind == AtomicKind::Xor);
     }
-    // A store of one value by all iterations, such as a flag, does not count.
+    // A store of one value by all iterations, such as a flag, does not count as
+    // a write.
     return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
            (isOwn || !storesTheSame(access, loop)) &&
            llvm::none_of(
@@ -248,7 +250,8 @@ LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
       others.push_back(access);
   }
   findOwned(reads);
-  // To remove an update may leave another one with conflicting accesses.
+  // Removing an update from `owned` can leave others with conflicting accesses:
+  // repeat until nothing changes.
   bool changed = true;
   while (changed) {
     changed = false;
@@ -275,7 +278,8 @@ LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
   }
   if (isCertain)
     loop.setSerialize(true);
-  // One thread runs the iterations in order, so that these reads are defined.
+  // If one thread runs the iterations in order, reads of elements that other
+  // iterations write are defined.
   if (atLaunch && !oneThread)
     otherIterations.refuseLaunches();
   if (atRun && !oneThread) {

@@ -78,14 +78,15 @@ struct Addition {
   bool isAlone = true;
 };
 
-/// The op and number of an operand that is a constant index.
+/// A hole: an operand that is a constant index, as its op and operand number.
+/// The indices of several additions may differ there.
 using Hole = std::pair<Operation *, unsigned>;
 
 /// Additions that differ in constant indices alone. Each index changes by a
 /// constant step from one member to the next.
 struct Series {
   SmallVector<unsigned> members;
-  /// The addition to which the holes belong.
+  /// The number of the addition whose operands `holes` are.
   unsigned model = 0;
   SmallVector<Hole> holes;
   SmallVector<int64_t> first, step;
@@ -97,8 +98,9 @@ public:
   explicit Shapes(Block &body) : body(body) {}
 
   llvm::hash_code hash(const Addition &addition);
-  /// True if `other` has the shape of `model`. `values` gets the indices that
-  /// `other` has in place of the holes of `model`.
+  /// True if `other` equals `model` apart from constant indices. `holes` gets
+  /// these operands of `model`, and `values` the indices that `other` has in
+  /// their place.
   bool match(const Addition &model, const Addition &other,
              SmallVectorImpl<Hole> &holes, SmallVectorImpl<int64_t> &values);
 
@@ -120,7 +122,8 @@ class Spreading {
 public:
   Spreading(LoopBox box, int64_t count) : box(std::move(box)), count(count) {}
 
-  /// False if the body stays unchanged.
+  /// Chooses the additions that become iterations; false if the body stays
+  /// unchanged.
   FailureOr<bool> plan(FieldTable &fields, size_t minAdditions);
   void rewrite();
 
@@ -245,7 +248,8 @@ bool Shapes::matchOperands(OpOperand &model, OpOperand &other) {
          matchOps(a.getOwner(), b.getOwner());
 }
 
-/// Compares shared operands as well, so that all members have the same holes.
+/// Operands that `model` and `other` share are compared as well, so that all
+/// members of a series have the same holes.
 bool Shapes::matchOps(Operation *model, Operation *other) {
   auto [found, isNew] = matched.try_emplace(model, other);
   if (!isNew)
@@ -442,7 +446,8 @@ void Spreading::findSteps(ArrayRef<unsigned> alike, Shapes &shapes) {
     found.model = found.members.front();
     found.first = points[i].second;
     found.step = longestStep;
-    // `holes` belongs to the first addition of the shape, not to the model.
+    // `found.holes` are operands of the first addition of the shape; replace
+    // them by operands of the model of this series.
     SmallVector<int64_t> own;
     const Addition &start = additions[found.model];
     shapes.match(start, start, found.holes, own);
@@ -609,7 +614,7 @@ void Spreading::rewrite() {
   ParallelForOp loop = box.loop;
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
-  // Series of one length share a branch.
+  // Group series by length, since series of one length share a branch.
   std::map<int64_t, SmallVector<Series *>, std::greater<>> byLength;
   for (Series &one : series)
     byLength[static_cast<int64_t>(one.members.size())].push_back(&one);

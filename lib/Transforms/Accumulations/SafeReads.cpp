@@ -45,8 +45,8 @@ bool SafeReads::covers(DifferentiableAccessInterface read,
          layout->shape == known->shape && layout->offset == known->offset;
 }
 
-/// True if another iteration may write the element: the condition may be there
-/// to keep the two from racing.
+/// True if another iteration may write the element that `read` loads: a
+/// condition around the read may be there to avoid this race.
 bool SafeReads::mayBeWritten(DifferentiableAccessInterface read) const {
   return !same.reachSame(read, store) &&
          llvm::any_of(accesses, [&](DifferentiableAccessInterface other) {
@@ -66,7 +66,8 @@ bool SafeReads::contains(Operation *op, Operation *branch) const {
   bool isApart = areConstant && !mayBeWritten(read);
   if (field && isApart && isInside(field, read.getAccessIndices()))
     return true;
-  // An earlier read of the loop, outside of the branch, reaches the same index.
+  // A read is safe if an earlier read of the loop, outside of the branch, has
+  // the same index.
   return llvm::any_of(accesses, [&](DifferentiableAccessInterface other) {
     Operation *next = other->getBlock()->findAncestorOpInBlock(*branch);
     return other != read && other.getAccessKind() == AccessKind::Read && next &&

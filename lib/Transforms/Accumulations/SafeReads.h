@@ -19,7 +19,8 @@
 
 namespace mlir::tai {
 
-/// The reads of a loop, as seen from a store.
+/// Decides which reads of a loop may run in more iterations when conditions of
+/// a store are removed.
 class SafeReads {
 public:
   /// `accesses` are all accesses of the loop.

@@ -141,7 +141,8 @@ static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
   auto constant = [&](int64_t value) -> Value {
     return arith::ConstantIndexOp::create(builder, loc, value);
   };
-  // The element that a wrapped index reaches is in the range of the loop.
+  // If the shift wraps, the element `iv` must itself be in the range of the
+  // loop.
   if (shift.wraps || shift.isIdentity())
     addRangeTests(builder, loc, iv, {lower, upper}, least, end, inside);
   if (shift.isIdentity())
@@ -258,7 +259,7 @@ static void recomputeTerms(OpBuilder &builder, LoopBox &box, Scatter &scatter,
 }
 
 namespace {
-/// The one addition that takes the place of a group.
+/// The single addition that replaces a group of scatters.
 struct Gathered {
   AtomicOp pattern;
   Value sum;
@@ -266,7 +267,7 @@ struct Gathered {
 };
 } // namespace
 
-/// The sum of the values.
+/// Emits the sum of the values, from first to last.
 static Value emitSum(OpBuilder &builder, Location loc, ValueRange values) {
   Value sum = values.front();
   for (Value value : values.drop_front())
@@ -348,7 +349,7 @@ static Gathered gather(LoopBox &box, Group &group, TermSum sum) {
 /// store, which would stop the vectoriser.
 static void sinkAdditions(LoopBox &box) {
   Operation *end = box.body().getTerminator();
-  // A copy of the list, because additions move while it is visited.
+  // Copy the list of additions, because they move while it is visited.
   SmallVector<AtomicOp> additions(box.body().getOps<AtomicOp>());
   for (AtomicOp op : additions) {
     const void *storage = getStorageKey(op);
@@ -447,7 +448,8 @@ static void rewrite(LoopBox &box, MutableArrayRef<Group> groups, TermSum kind) {
         builder, gathered.pattern.getLoc(), AtomicKind::Add, gathered.sum,
         gathered.pattern.getFieldAttr(), gathered.indices, gathered.components,
         /*exclusive=*/true);
-    // The element of the iteration itself is in range as well.
+    // If the elements of the scatters are in range, so is the element of the
+    // iteration itself.
     if (gathered.pattern->hasAttr(kInRangeAttrName))
       sum->setAttr(kInRangeAttrName, builder.getUnitAttr());
   }
@@ -532,7 +534,8 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   llvm::MapVector<const void *, SmallVector<AtomicOp>> byStorage;
   box.loop.walk(
       [&](AtomicOp op) { byStorage[getStorageKey(op)].push_back(op); });
-  // Created before the loop gets more iterations.
+  // The loop for the stores is created before the loop of the additions gets
+  // more iterations.
   llvm::SmallPtrSet<Operation *, 4> stores;
   ParallelForOp laterStores;
   if (options.movesStores && llvm::any_of(byStorage, [](auto &entry) {
@@ -544,7 +547,7 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
     laterStores = createLaterStores(box, stores);
   bool changed = false, needsLater = false;
   for (auto &[storage, atomics] : byStorage) {
-    // Exclusive additions are not atomic.
+    // Exclusive additions are not atomic, so gathering them gains nothing.
     if (llvm::all_of(atomics, [](AtomicOp op) { return op.getExclusive(); }))
       continue;
     FieldOp field =
@@ -642,8 +645,8 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
       }
       GatherOptions options{maxOps, pairSums, /*movesStores=*/false};
       if (failed(getSparseLoopField(loop))) {
-        // Threads of a GPU add quickly in any order, and a second loop is a
-        // second launch.
+        // On a GPU, stores stay: threads add quickly in any order, and a loop
+        // for the stores is a second launch.
         options.movesStores = !onDevice || hasFixedBits(loop);
         gatherLoop(*box, options);
       } else if (keepsActivity(loop) &&

@@ -79,7 +79,8 @@ static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
     if (variables.empty())
       continue;
     std::optional<unsigned> k = box.find(variables.front());
-    // Two dimensions of one variable are a diagonal, which has no owner.
+    // A loop index that selects two dimensions reaches a diagonal of the field,
+    // whose elements alone would have an owner.
     if (variables.size() > 1 || !k || dimensionOf[*k] >= 0)
       return refuse("an index has more than one loop index, or two indices "
                     "have the same one");
@@ -108,7 +109,8 @@ static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
   return scatter;
 }
 
-/// The indices that do not depend on the loop.
+/// The indices of the scatter that do not depend on the loop; they select a
+/// slice of the field.
 static SmallVector<Value> getSliceIndices(const Scatter &scatter) {
   SmallVector<Value> indices;
   for (auto [dimension, index] :
@@ -166,7 +168,8 @@ static bool canOwn(LoopBox &box, const Owned &wanted) {
     return true;
   if (box.loop.isStructFor())
     return false;
-  // Random numbers belong to positions in the box.
+  // Additional iterations would change the random numbers of the program, which
+  // belong to positions in the box.
   if (box.loop.walk([](RandomOp) { return WalkResult::interrupt(); })
           .wasInterrupted())
     return false;

@@ -85,7 +85,8 @@ struct GatherRefusal {
   }
 };
 
-/// The field that a loop over active cells visits, if it is one.
+/// The layout of the field whose active cells the loop visits; failure for
+/// other loops.
 FailureOr<FieldLayout> getSparseLoopField(ParallelForOp loop);
 
 /// Groups the additions to one field by slice and component. Empty if one of
@@ -99,7 +100,8 @@ SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
                              llvm::function_ref<bool(LoadOp)> isStable,
                              GatherRefusal &why);
 
-/// True if nothing else in the loop may touch the elements of the groups.
+/// True if no access of the loop other than the groups may touch the elements
+/// of the groups.
 bool isOnlyAccess(FieldOp field, LoopBox &box, MutableArrayRef<Group> groups,
                   GatherRefusal &why);
 

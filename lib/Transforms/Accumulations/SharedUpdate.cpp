@@ -84,7 +84,7 @@ void SharedUpdate::forget() {
   formers.clear();
 }
 
-/// The kind that compares integers as unsigned numbers.
+/// The kind of atomic that does the operation of `kind` on unsigned integers.
 static AtomicKind getUnsigned(AtomicKind kind) {
   if (kind == AtomicKind::Min)
     return AtomicKind::MinU;
@@ -188,7 +188,7 @@ bool SharedUpdate::matchCombination(Operation *op, AtomicKind kind,
 }
 
 /// Recognises `condition ? whenTrue : whenFalse` as a minimum or maximum: the
-/// condition compares the two, or values equal to them.
+/// condition compares whenTrue and whenFalse, or values equal to them.
 std::optional<Extremum>
 SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   while (Value turned = getNegated(condition)) {
@@ -254,7 +254,7 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   auto isSame = [&](Value a, Value b) {
     return same.areEqual(a, b) || (old.isLoaded(a) && old.isLoaded(b));
   };
-  // The true value is chosen if it is less: a minimum.
+  // If the true value is chosen where it is less, the select is a minimum.
   bool isMin = *direction < 0;
   if (isSame(lhs, whenFalse) && isSame(rhs, whenTrue))
     isMin = !isMin;
@@ -270,7 +270,8 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   AtomicKind kind = isMin ? isUnsigned ? AtomicKind::MinU : AtomicKind::Min
                     : isUnsigned ? AtomicKind::MaxU
                                  : AtomicKind::Max;
-  // The compared value is used, because it is computed before the choice.
+  // Use the compared value, not the chosen one: it is computed before the
+  // choice.
   return Extremum{kind, old.reaches(lhs) ? rhs : lhs,
                   isTrueOld ? whenTrue : whenFalse};
 }
@@ -321,7 +322,8 @@ std::optional<Value> SharedUpdate::findFormer(Value value,
   }
   std::optional<Value> former;
   for (Value side : sides) {
-    // Skip the other operand, or the other number that an extremum compares.
+    // Skip an operand that does not depend on the element: an added value, or
+    // the number that an extremum compares the element with.
     if (!old.reaches(side))
       continue;
     std::optional<Value> found = findFormer(side, scope);
@@ -362,7 +364,8 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   if (*former) {
     if (!matchValue(*former, context))
       return false;
-    // The steps of the earlier update run once, before the branch.
+    // The steps of the earlier update, from which both sides start, run once,
+    // before the branch.
     formers.push_back(*former);
   }
   Context side = context;
@@ -398,14 +401,16 @@ bool SharedUpdate::matchLoop(OpResult result, const Context &context) {
   formers.pop_back();
   if (!matches)
     return false;
-  // The steps inside of the loop, and the branches around them, stay there.
+  // The steps inside of the loop, and the branches around them, stay in the
+  // loop.
   SmallVector<Step> inside(std::make_move_iterator(steps.begin() + numSteps),
                            std::make_move_iterator(steps.end()));
   steps.truncate(numSteps);
   totals.truncate(numTotals);
   choices.append(branches.begin() + numBranches, branches.end());
   branches.truncate(numBranches);
-  // A loop that only hands the element on has no step, and maybe no family.
+  // A loop that only hands the element on has no step, and possibly the update
+  // has no family of operations yet.
   AtomicKind kind = inside.empty() ? AtomicKind::Add : *family;
   if (isExtremum(kind)) {
     kind = inside.front().kind;
@@ -428,7 +433,8 @@ bool SharedUpdate::matchChosen() {
   path.insert_range(chosen->getPath());
   llvm::append_range(loads, chosen->getLoads());
   llvm::append_range(choices, chosen->getBranches());
-  // The element may have been updated before.
+  // The former value can be the result of an earlier update of the element:
+  // match this update as well.
   if (!old.isLoaded(chosen->getFormer()) &&
       !matchValue(chosen->getFormer(), {}))
     return false;
@@ -490,8 +496,8 @@ bool SharedUpdate::isUndisturbed() {
     Block *common = findCommonBlock(from, to);
     if (!common || from == to || !from->isBeforeInBlock(to))
       return false;
-    // Other iterations of a serial loop around only one of the two come in
-    // between.
+    // If a serial loop contains only the load or only the store, other
+    // iterations of the loop come between the two.
     for (auto [inner, outer] :
          {std::pair<Operation *, Operation *>(load, from), {store, to}})
       for (Operation *op = inner; op != outer; op = op->getParentOp())
@@ -693,7 +699,8 @@ void SharedUpdate::rewrite() {
     branch.getConditionMutable().assign(
         arith::ConstantIntOp::create(b, branch.getLoc(), 0, 1));
   }
-  // Loops now carry totals, which start at the identity of the operation.
+  // Serial loops now carry totals, which start at the identity of the
+  // operation.
   for (auto [result, kind] : totals) {
     auto serial = cast<scf::ForOp>(result.getOwner());
     OpBuilder b(serial);
@@ -713,7 +720,7 @@ void SharedUpdate::rewrite() {
         llvm::find_if(dead, [](Operation *op) { return op->use_empty(); });
     if (unused == dead.end())
       break;
-    // To erase a branch also erases the ops inside of it.
+    // Erasing a branch also erases the ops inside of it: drop them from `dead`.
     Operation *op = *unused;
     llvm::erase_if(dead,
                    [&](Operation *other) { return op->isAncestor(other); });

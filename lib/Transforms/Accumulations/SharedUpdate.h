@@ -22,21 +22,22 @@ namespace mlir::tai {
 /// True if all iterations that execute `store` store the same value.
 bool storesTheSame(DifferentiableAccessInterface store, ParallelForOp loop);
 
-/// The kind of atomic that has the operation of `op`, if there is one.
+/// The kind of atomic that performs the operation of `op`; nullopt if there is
+/// none.
 std::optional<AtomicKind> getAtomicKind(Operation *op);
 
 /// The conditions under which a part of an expression is taken.
 struct Context {
-  /// The outermost select around the part: the conditions are computed before
-  /// it.
+  /// The outermost select around the part of the expression; the conditions are
+  /// computed before this select.
   Operation *select = nullptr;
-  /// Each condition, and whether it must be true or false.
+  /// The conditions under which the part is taken, and the truth value of each.
   SmallVector<std::pair<Value, bool>, 1> conditions;
 };
 
 /// One atomic that an update becomes.
 struct Step {
-  /// The atomic is emitted before this op.
+  /// The op before which the atomic is emitted.
   Operation *at;
   AtomicKind kind;
   Value value;
@@ -45,14 +46,15 @@ struct Step {
   Type type;
   /// The atomic runs where each condition has the given truth value.
   SmallVector<std::pair<Value, bool>, 1> conditions;
-  /// An access whose indices are computed before `at`.
+  /// An access to the element, whose indices are computed before `at`.
   DifferentiableAccessInterface place = {};
 };
 
 /// A select whose comparison says that it is a minimum or a maximum.
 struct Extremum {
   AtomicKind kind;
-  /// The side that does not depend on the element, and the side that does.
+  /// value: the side of the select that does not depend on the element. old:
+  /// the side that does.
   Value value, old;
 };
 
@@ -70,9 +72,10 @@ public:
 
   /// True if the stored value, or whether it is stored, depends on the element.
   bool readsElement();
-  /// Finds the steps. False if the store is not an update of a supported form.
+  /// Finds the steps of the update; false if the store is not an update of a
+  /// supported form.
   bool match();
-  /// The operation that all steps have in common.
+  /// The operation that all steps of the update have in common.
   AtomicKind getFamily() const { return *family; }
   void rewrite();
 
@@ -107,22 +110,25 @@ private:
   /// The op by which the program extends the element to a wider type, if any.
   std::optional<OperationName> extension;
   SmallVector<Step> steps;
-  /// Ops between the loads and the store, which are to have no other use.
+  /// Ops between the loads of the element and the store, which must have no
+  /// other use.
   llvm::SetVector<Operation *> path;
-  /// Results of branches on the path.
+  /// Results of branches between the loads and the store.
   SmallVector<OpResult> branches;
-  /// Results of serial loops on the path.
+  /// Results of serial loops between the loads and the store.
   SmallVector<OpResult> carried;
-  /// Results of the outermost loops on the path, and the kinds of their totals.
+  /// Results of the outermost serial loops between the loads and the store, and
+  /// the kinds of the totals that these loops will carry.
   SmallVector<std::pair<OpResult, AtomicKind>> totals;
-  /// Updates before the branches and loops that are being matched, whose steps
-  /// have been found already.
+  /// Values of the element before the branches and loops that are being
+  /// matched; the steps up to these values have been found already.
   SmallVector<Value> formers;
-  /// An extremum that replaces the store, in addition to the steps, and its
-  /// kind.
+  /// A minimum or maximum under conditions that replaces the store, in addition
+  /// to the steps, and its kind.
   std::optional<ChosenExtremum> chosen;
   AtomicKind chosenKind = AtomicKind::Min;
-  /// Results of branches on the path that stay, or that `chosen` erases.
+  /// Results of branches between the loads and the store that stay, or that
+  /// `chosen` erases.
   SmallVector<OpResult> choices;
 };
 

@@ -17,7 +17,7 @@ using namespace mlir::tai;
 
 using Position = SmallVector<int64_t>;
 
-/// The position of component number `i`.
+/// The position in the vector of component number `i`, in row-major order.
 static Position getPosition(VectorType type, int64_t i) {
   Position position(type.getRank());
   for (int64_t dim = type.getRank() - 1; dim >= 0; --dim) {
@@ -104,7 +104,7 @@ bool ComponentSplitter::find(Value vector, Component &component,
   return true;
 }
 
-/// The vector into which other components were inserted.
+/// Skips insertions: the vector into which components were inserted.
 static Value skipInserts(Value vector) {
   while (auto insert = vector.getDefiningOp<vector::InsertOp>())
     vector = insert.getDest();
@@ -144,7 +144,8 @@ void ComponentSplitter::splitBranches(OpResult vector, StoreOp store) {
     Value found = findBase(yield.getOperand(number), store);
     if (!found)
       continue;
-    // An iteration may begin with another vector than the loaded one.
+    // An iteration of a serial loop may begin with another vector than the
+    // loaded one.
     if (old && old != found && (begins.contains(old) || begins.contains(found)))
       return;
     Operation *load = found.getDefiningOp();
@@ -261,7 +262,8 @@ void ComponentSplitter::splitLoop(OpResult vector, StoreOp store) {
   rewriter.setInsertionPointAfter(made);
   made.getResult(number).replaceAllUsesWith(
       insertAll(made.getResults().take_back(changed.size())));
-  // The loop still carries the vector, without a use; a zero reads no element.
+  // The loop still carries the vector, which has no use any more: let it begin
+  // with zero, which reads no element.
   made.getBody()->getTerminator()->setOperand(number, carried);
   rewriter.setInsertionPoint(made);
   made.getInitArgsMutable()[number].assign(arith::ConstantOp::create(
@@ -376,7 +378,7 @@ void ComponentSplitter::run() {
   }
   for (LoadOp load : old)
     split(load);
-  // Unused loads and vectors would count as reads.
+  // Erase unused loads and vectors, which would count as reads of the element.
   bool changed = !old.empty();
   while (changed) {
     changed = false;

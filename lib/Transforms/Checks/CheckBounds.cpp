@@ -56,7 +56,7 @@ private:
   /// Values of variables, as i64. `iteration` has the loop variables of an
   /// example of one violation.
   llvm::DenseMap<unsigned, Value> launchValues, iteration;
-  /// Systems that are refused already.
+  /// Systems of inequalities for which launches are refused already.
   SmallVector<LinearSystem> refused;
 };
 } // namespace
@@ -126,8 +126,9 @@ Value PreconditionWriter::emit(const LinearSum &sum) {
   return result;
 }
 
-/// Emits row >= 0. A row of one or two variables becomes a comparison of
-/// numbers, since their difference might wrap around.
+/// Emits the condition that the linear sum `row` is >= 0. A sum of one or two
+/// variables becomes a comparison of numbers, since their difference might wrap
+/// around.
 Value PreconditionWriter::emitHolds(const LinearSum &row) {
   auto compare = [&](arith::CmpIPredicate predicate, Value a, Value b) {
     return arith::CmpIOp::create(builder, loc, predicate, a, b).getResult();
@@ -149,7 +150,8 @@ Value PreconditionWriter::emitHolds(const LinearSum &row) {
   return compare(arith::CmpIPredicate::sge, emit(row), constant(0));
 }
 
-/// The least value of the step's variable for which its system can hold.
+/// Emits the least value of the step's variable for which the step's system of
+/// inequalities can hold.
 Value PreconditionWriter::emitLeast(const Violation::Step &step) {
   Value least;
   for (const LinearSum &row : step.system.getRows()) {
@@ -209,7 +211,7 @@ void PreconditionWriter::refuse(const IndexedAccess &access, size_t number,
              (!factors.empty() && self(self, factors[1]));
     });
   };
-  // The message has a question mark for each data-dependent index.
+  // The error message has a question mark for each index that depends on data.
   std::string message = "index [";
   SmallVector<Value> shown;
   bool isOfElement = number < access.rank;

@@ -37,7 +37,7 @@ bool mlir::tai::keepsNonFinite(OpOperand &use) {
   Operation *op = use.getOwner();
   if (isa<math::AbsFOp, math::SqrtOp, math::LogOp, math::Log2Op, math::Log10Op,
           math::Log1pOp, NormOp, DeterminantOp, TraceOp>(op))
-    // The trace drops elements off the diagonal.
+    // A trace drops the elements off the diagonal; the other ops drop none.
     return !isa<TraceOp>(op);
   return passesOn(use) && !isa<arith::SelectOp, vector::ExtractOp,
                                vector::InsertOp, vector::ToElementsOp>(op);
@@ -247,13 +247,15 @@ static bool isFiniteOfFinite(Operation *op) {
              DeterminantOp, StopGradientOp>(op);
 }
 
-/// A maximum or minimum that is written as a select of the compared operands.
+/// True for a select of the operands that its condition compares: a maximum or
+/// minimum.
 static bool isGreatestOrLeast(Operation *op) {
   auto select = dyn_cast<arith::SelectOp>(op);
   if (!select)
     return false;
   Value condition = select.getCondition();
-  // max(a, b) is a where b is NaN, too.
+  // The condition of max(a, b) may be `a > b or isnan(b)`: look at its first
+  // part.
   if (auto either = condition.getDefiningOp<arith::OrIOp>())
     condition = either.getLhs();
   auto test = condition.getDefiningOp<arith::CmpFOp>();
@@ -263,8 +265,8 @@ static bool isGreatestOrLeast(Operation *op) {
                    test.getLhs() == select.getFalseValue()));
 }
 
-/// A norm, or its product with a power of two, with another constant selected
-/// where it is zero.
+/// True for a norm, or its product with a power of two, if a select replaces it
+/// by a non-zero constant where it is zero.
 static bool isNormOrNumber(Value value) {
   auto select = value.getDefiningOp<arith::SelectOp>();
   if (!select || !matchPattern(select.getTrueValue(), m_Constant()) ||
@@ -349,7 +351,8 @@ bool FiniteConditions::requireClear(Value value, Operation *at,
   if (facts.isNonZero(value, at) || isNormOrNumber(value))
     return requireFinite(value, at);
   Operation *op = value.getDefiningOp();
-  // These ops yield values at least as far from zero as their operand.
+  // An op that yields values at least as far from zero as its operand: require
+  // that the operand is far enough from zero.
   if (isa_and_nonnull<vector::BroadcastOp>(op))
     return requireClear(op->getOperand(0), at, isPositive);
   if (auto root = dyn_cast_if_present<math::SqrtOp>(op)) {
@@ -375,7 +378,7 @@ DenseSet<Value> FiniteConditions::findNonZero() const {
     Value value = pending.pop_back_val();
     if (!result.insert(value).second)
       continue;
-    // If a product is not zero, no factor is zero.
+    // If the result of one of these ops is not zero, no operand is zero.
     Operation *op = value.getDefiningOp();
     if (isa_and_nonnull<arith::MulFOp, arith::NegFOp, vector::BroadcastOp,
                         math::SqrtOp, math::AbsFOp>(op))

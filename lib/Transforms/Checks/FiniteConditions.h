@@ -45,8 +45,8 @@ Value createTestOfFinite(OpBuilder &builder, Location loc,
 /// The conditions on values under which guards have no effect.
 class FiniteConditions {
 public:
-  /// Ops whose results may be non-finite, because the conditions of their
-  /// guards are not required here.
+  /// Sets the ops whose results may be non-finite, because the conditions of
+  /// their guards are not required here.
   void setApart(DenseSet<Operation *> ops) { apart = std::move(ops); }
 
   /// Adds the conditions of a guard in the block, or in a region of its ops.
@@ -63,7 +63,7 @@ public:
   ArrayRef<Value> getClear() const { return clear.getArrayRef(); }
   /// Values that are not zero where the conditions hold.
   DenseSet<Value> findNonZero() const;
-  /// The number of components that are tested.
+  /// The number of components of values that the conditions test.
   int64_t count() const {
     return countComponents(getFinite()) + countComponents(getClear());
   }
@@ -87,8 +87,8 @@ private:
 
   FloatFacts facts = FloatFacts(/*usesConditions=*/true);
   llvm::SetVector<Value> finite, clear;
-  /// Subsets of `clear`: values that are non-negative if the other conditions
-  /// hold, and values for which being non-zero is not enough.
+  /// Subsets of `clear`. positive: values that are non-negative if the other
+  /// conditions hold. strict: values for which it is not enough to be non-zero.
   DenseSet<Value> positive, strict;
   DenseSet<Value> required, cleared, followed;
   DenseSet<Operation *> apart;

@@ -41,7 +41,7 @@ static bool isDivision(Operation *op) {
          isa<arith::DivUIOp, arith::RemUIOp, arith::CeilDivUIOp>(op);
 }
 
-/// "the smallest i32 is divided by -1: ..."
+/// The error message "the smallest i32 is divided by -1, and ...".
 static std::string describeOverflow(Type type) {
   std::string text;
   llvm::raw_string_ostream(text)
@@ -64,7 +64,7 @@ public:
 private:
   Value constant(const APInt &value);
   Value equals(Value value, const APInt &to);
-  /// Reports where `broken` holds, in debug mode.
+  /// In debug mode, reports `message` where the condition `broken` holds.
   void check(Value broken, StringRef message);
 
   Operation *op;

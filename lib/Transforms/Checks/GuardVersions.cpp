@@ -29,7 +29,7 @@ static void sinkInto(Block *to, Operation *branch) {
 scf::IfOp tai::createVersions(Operation *begin, Value condition,
                               IRMapping &bare, ArrayRef<Operation *> own) {
   Block &block = *begin->getBlock();
-  // The rest of the block goes into both branches: otherwise all results would
+  // Both branches get all of the rest of the block: otherwise its results would
   // be live until the test is made.
   Operation *terminator = block.getTerminator();
   SetVector<Operation *> moved(own.begin(), own.end());
@@ -234,7 +234,8 @@ bool EarlyTest::run() {
   IRMapping bare;
   scf::IfOp branch = createVersions(first, test, bare, /*own=*/{});
   bareBlock = branch.thenBlock();
-  // Selects in the derivatives of norms, for a norm of zero, go as well.
+  // Selects in the derivatives of norms, which test for a norm of zero, are
+  // removed as well.
   DenseSet<Value> nonZero;
   for (Value value : conditions.findNonZero())
     nonZero.insert(bare.lookupOrDefault(value));

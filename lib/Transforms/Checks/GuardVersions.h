@@ -50,7 +50,7 @@ public:
     conditions.setApart(apart);
   }
   bool run();
-  /// After a run: the block that does not have these guards.
+  /// After run(): the block of the version without these guards.
   Block &getBare() { return *bareBlock; }
 
 private:

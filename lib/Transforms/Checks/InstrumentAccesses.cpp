@@ -96,20 +96,22 @@ private:
   SmallVector<Attribute> described;
   llvm::MapVector<Operation *, int64_t> loops;
   Shadow *current = nullptr;
-  /// The number of the access, which is unique over all launches.
+  /// The number of the access that is being instrumented; unique over all
+  /// launches.
   Value id;
   int64_t ordinal = 0;
 };
 } // namespace
 
-/// The row-major number of the component in the whole field.
+/// Emits the row-major number of the component in the whole field, and in
+/// `isInside` whether the component exists.
 Value Instrumentation::createComponent(const Shadow &shadow, ValueRange indices,
                                        ValueRange components, Value &isInside) {
   Value number = index(0);
   isInside = arith::ConstantIntOp::create(b, 1, 1);
   auto add = [&](Value position, int64_t first, int64_t extent) {
     position = b.createOrFold<arith::SubIOp>(position, index(first));
-    // The checks of indices report components out of range.
+    // Components out of range are reported by the checks of indices.
     Value fits = arith::CmpIOp::create(b, arith::CmpIPredicate::ult, position,
                                        index(extent));
     isInside = b.createOrFold<arith::AndIOp>(isInside, fits);

@@ -28,7 +28,7 @@ struct VerifyInlinable : tai::impl::VerifyInlinableBase<VerifyInlinable> {
 
   void runOnOperation() override {
     markAllAnalysesPreserved();
-    // Pipelines inline calls only in modules that hold ops of tai.
+    // Skip a module without tai ops, in which pipelines inline no calls.
     if (llvm::none_of(*getOperation().getBody(),
                       [](Operation &op) { return tai::belongsToTai(&op); }))
       return;

@@ -57,8 +57,8 @@ static bool isDense(Operation *user, FlatSymbolRefAttr name) {
   return succeeded(layout) && !layout->path.getFirstSparse();
 }
 
-/// True if all effects of the loop are accesses to dense fields, which are
-/// collected.
+/// Collects the accesses of the loop to dense fields; false if the loop has
+/// other effects.
 static bool collectAccesses(ParallelForOp loop,
                             SmallVectorImpl<Operation *> &accesses) {
   return !loop.getBody()
@@ -69,7 +69,8 @@ static bool collectAccesses(ParallelForOp loop,
                              ? WalkResult::advance()
                              : WalkResult::interrupt();
                 }
-                // Local variables belong to an iteration.
+                // Local variables belong to one iteration, so their accesses
+                // have no effect outside.
                 if (isa<AllocaOp, LocalLoadOp, LocalStoreOp, scf::ForOp,
                         scf::IfOp, scf::WhileOp>(op))
                   return WalkResult::advance();
@@ -160,13 +161,14 @@ static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
       common.push_back(one);
       continue;
     }
-    // The indices differ in all pairs of iterations.
+    // If the two indices differ and depend on no loop index, they differ in all
+    // pairs of iterations.
     bool isFixed =
         one.allOf([&](Value value) { return !llvm::is_contained(ivs, value); });
     if (isFixed && areDistinct(one, other))
       return true;
   }
-  // Dimensions with one iteration need not be told apart.
+  // A dimension with one iteration need not tell iterations apart.
   SmallVector<Value> running;
   for (auto [d, iv] : llvm::enumerate(ivs))
     if (second.box.upper[d] - second.box.lower[d] > 1)
@@ -192,8 +194,8 @@ static bool canFuse(Candidate &first, Candidate &second) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// An argument of the second kernel, in the new kernel: an argument of the new
-/// kernel plus a constant.
+/// The value of an argument of the second kernel in the fused kernel: an
+/// argument of the fused kernel plus a constant.
 struct Source {
   unsigned argument;
   int64_t difference = 0;
@@ -317,7 +319,8 @@ static LaunchOp fuse(Candidate &first, Candidate &second,
     other.map(from, to);
   for (Operation &op : second.box.loop.getBody().front().without_terminator())
     builder.clone(op, other);
-  // In the fused loop, elements may no longer belong to one iteration.
+  // In the fused loop, the element of an exclusive atomic may belong to several
+  // iterations.
   loop.walk([](AtomicOp atomic) { atomic.setExclusive(false); });
   reuseStoredValues(iteration);
 

@@ -64,12 +64,14 @@ namespace {
 /// The strips of one loop.
 struct Strips {
   LoopBox box;
-  /// Elements of a strip, and the index of the first element of the first.
+  /// width: the number of elements of a strip. first: the index of the first
+  /// element of the first strip.
   int64_t width = 0, first = 0;
-  /// Strips and rows of a tile; 0 if there are no tiles.
+  /// The number of strips and of rows of a tile; 0 if there are no tiles.
   int64_t tileStrips = 0, tileRows = 0;
-  /// The interior, by index. In it, each condition of `answers` has the given
-  /// value, and the two values of each pair of `same` are equal.
+  /// The interior, as bounds of each index. In the interior, each condition of
+  /// `answers` has the given value, and the two values of each pair of `same`
+  /// are equal.
   SmallVector<int64_t> lower, upper;
   SmallVector<std::pair<Value, bool>> answers;
   SmallVector<std::pair<Value, Value>> same;
@@ -224,7 +226,8 @@ static bool chooseWidth(Strips &strips, FieldTable &fields) {
     auto field = fields.lookup(op, getNamedField(op));
     if (failed(field) || !(*field)->sparse.empty())
       return WalkResult::interrupt();
-    // Sums in registers do not access memory.
+    // Additions that are not exclusive become sums in registers, which do not
+    // access memory.
     if (auto atomic = dyn_cast<AtomicOp>(op); atomic && !atomic.getExclusive())
       return WalkResult::advance();
     int64_t first = 0;
@@ -311,7 +314,8 @@ private:
 };
 } // namespace
 
-/// The arm that all elements take; null if they take different arms.
+/// The arm of `branch` that all elements of the strip take; null if they take
+/// different arms.
 Block *StripBuilder::getTaken(scf::IfOp branch) {
   std::optional<bool> answer;
   for (IRMapping &element : elements) {
@@ -325,7 +329,7 @@ Block *StripBuilder::getTaken(scf::IfOp branch) {
 }
 
 void StripBuilder::clone(Operation &op, IRMapping &element) {
-  // A condition that is constant in the interior.
+  // A condition that is constant in the interior has been mapped to its value.
   if (op.getNumResults() == 1 && element.contains(op.getResult(0)))
     return;
   if (Value chosen =
@@ -478,7 +482,8 @@ static void rewrite(Strips &strips) {
   Value end = rest.min(rest.add(indices.back(), rest.constant(strips.width)),
                        rest.constant(strips.box.upper.back()));
   auto each = scf::ForOp::create(border, loc, begin, end, rest.constant(1));
-  // If unrolled, this loop would be merged with the interior.
+  // Keep LLVM from unrolling this loop at the border, which it would then merge
+  // with the interior.
   MLIRContext *context = loop.getContext();
   auto unroll = LLVM::LoopUnrollAttr::get(
       context, /*disable=*/BoolAttr::get(context, true), {}, {}, {}, {}, {},

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs while loops still name the field that they visit: later, the indices of
-// a loop over a sparse field are loaded from a list, which the analysis cannot
-// see through.
+// Marks loops whose results depend on the order of their iterations. Runs while
+// loops still name the field that they visit: later, the indices of a loop over
+// a sparse field are loaded from a list, which the analysis cannot see through.
 //
 //===----------------------------------------------------------------------===//
 

@@ -90,7 +90,7 @@ private:
     });
   }
 
-  /// `index` as a shift of one loop index, if it is one, or `index` itself.
+  /// Returns `index` as a shift of one loop index, if it is one; else `index`.
   Value getReplacement(OpBuilder &builder, LoopBox &box, Value index) {
     SmallVector<Value> variables;
     if (!collectIndexVariables(index, box.loop.getBody(), variables) ||

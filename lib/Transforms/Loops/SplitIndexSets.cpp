@@ -91,7 +91,8 @@ static void createPart(OpBuilder &builder, Split &split, Value lower,
         }
         scf::YieldOp::create(nested, loc);
       });
-  // Attributes with facts about the iterations of the loop hold for each part.
+  // Each part keeps the attributes of the loop, which state facts about its
+  // iterations.
   part->setDiscardableAttrs(split.loop->getDiscardableAttrDictionary());
 }
 
@@ -104,7 +105,8 @@ static void apply(Split &split) {
                                      builder.getIntegerAttr(type, value));
   };
   Value lower = split.loop.getLowerBound(), upper = split.loop.getUpperBound();
-  // lower <= first <= last <= upper also where the range misses the interior.
+  // Clamp to the range of the loop, so that lower <= first <= last <= upper
+  // even where the range misses the interior.
   auto clamp = [&](int64_t value) -> Value {
     Value above = arith::MaxSIOp::create(builder, loc, lower, constant(value));
     return arith::MinSIOp::create(builder, loc, above, upper);

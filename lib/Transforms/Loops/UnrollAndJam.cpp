@@ -76,11 +76,12 @@ namespace {
 /// The facts found in a loop.
 struct Candidate {
   scf::ForOp loop;
-  /// Width of the widest sum that a serial loop carries; 0 if there is none.
+  /// The bits of the widest sum that a serial loop of the candidate carries; 0
+  /// if there is none.
   unsigned sumBits = 0;
   unsigned ops = 0;
-  /// The ops without those that compute indices, which copies share or
-  /// addresses include.
+  /// The number of ops without the computation of indices, which copies share
+  /// or addressing modes include.
   unsigned fewOps = 0;
   /// Whether copies have bounds of their own, and each a loop for the
   /// remainder.
@@ -132,7 +133,7 @@ private:
       builder.clone(op, copy);
   }
 
-  /// Whether all copies would compute the same value.
+  /// Whether `op` would compute the same value in all copies.
   bool isShared(Operation &op) const {
     return isMemoryEffectFree(&op) &&
            llvm::all_of(op.getOperands(),
@@ -220,7 +221,8 @@ private:
     for (unsigned copy = 0; copy < copies.size(); ++copy) {
       Value lower = lookup(copy, loop.getLowerBound());
       Value upper = lookup(copy, loop.getUpperBound());
-      // The difference of bounds that are far apart may overflow.
+      // Compare the bounds first: the difference of bounds that are far apart
+      // may overflow.
       Value some = arith::CmpIOp::create(
           builder, loc, arith::CmpIPredicate::slt, lower, upper);
       Value count = arith::SubIOp::create(builder, loc, upper, lower);
@@ -367,8 +369,8 @@ static bool isUnrolledByLLVM(scf::ForOp loop) {
   std::optional<llvm::APInt> trips = loop.getStaticTripCount();
   if (!trips)
     return false;
-  // Values that depend on neither the index nor carried values are hoisted out
-  // of the loop.
+  // Only count ops that depend on the index or on carried values; the others
+  // are hoisted out of the loop.
   llvm::SmallDenseSet<Value> varying;
   varying.insert(loop.getInductionVar());
   varying.insert_range(loop.getRegionIterArgs());
@@ -441,12 +443,14 @@ static bool visit(Block &body, Candidate &candidate,
       candidate.count(op);
       continue;
     }
-    // Jammed loops compare their indices as signed numbers.
+    // Jammed loops compare their indices as signed numbers, so unsigned loops
+    // are not jammed.
     if (loop.getUnsignedCmp())
       return false;
     unsigned bits = getSumBits(loop);
     bool holdsLoops = !loop.getBody()->getOps<scf::ForOp>().empty();
-    // Copies with equal bounds leave the loop together.
+    // If the bounds are equal in all copies, the copies leave the loop
+    // together.
     bool isUniformLoop =
         isUniform(loop.getLowerBound()) && isUniform(loop.getUpperBound());
     if (!isUniform(loop.getStep()) ||
@@ -454,10 +458,12 @@ static bool visit(Block &body, Candidate &candidate,
          (holdsLoops || !matchPattern(loop.getStep(), m_One()) ||
           !paysUnevenly(loop, candidate.loop))))
       return false;
-    // A loop that carries no sums is better vectorised by itself.
+    // Do not jam a loop that carries no sums: it is better vectorised by
+    // itself.
     if ((!bits && !holdsLoops) || isUnrolledByLLVM(loop))
       return false;
-    // So is a loop whose sums may be added up in any order.
+    // Do not jam a loop whose sums may be added up in any order, either: LLVM
+    // vectorises it.
     if (reassociate && !holdsLoops && !readsColumns(loop))
       return false;
     candidate.sumBits = std::max(candidate.sumBits, bits);
@@ -496,8 +502,8 @@ static void apply(const Candidate &candidate) {
   auto constant = [&](OpBuilder &at, int64_t value) -> Value {
     return arith::ConstantOp::create(at, loc, at.getIntegerAttr(type, value));
   };
-  // [lower, middle) by steps of the factor, which is a power of two, then the
-  // remainder.
+  // Run [lower, middle) in steps of the factor, which is a power of two, and
+  // then the remainder.
   Value lower = loop.getLowerBound(), upper = loop.getUpperBound();
   Value count = arith::SubIOp::create(builder, loc, upper, lower);
   count = arith::MaxSIOp::create(builder, loc, count, constant(builder, 0));

@@ -147,7 +147,8 @@ SymEig tai::emitSymEig(ScalarMath &math, ArrayRef<Value> matrix, unsigned n) {
     return result;
   }
 
-  // State: the diagonal, the triangle (10, 20, 21), the vectors.
+  // The state of the iteration: the diagonal, the elements 10, 20 and 21 of the
+  // lower triangle, and the eigenvectors.
   Components state = {a[0], a[4], a[8], a[3], a[6], a[7]};
   llvm::append_range(state, emitIdentity(math, a[0].getType(), 3));
   state = emitSweeps(
@@ -203,7 +204,7 @@ static std::array<Value, 3> emitScaledPoint(ScalarMath &math, Value x,
   };
   int limit = isDouble ? 960 : 100, factor = isDouble ? 600 : 100;
   OpBuilder &builder = math.getBuilder();
-  // False for NaN as well.
+  // This condition is false if `square` is NaN.
   Value isInRange = arith::AndIOp::create(
       builder, math.getLoc(), math.lessOrEqual(power(math, -limit), square),
       math.lessOrEqual(square, power(math, limit)));
@@ -313,8 +314,8 @@ static Svd emitSvd3(ScalarMath &math, ArrayRef<Value> a) {
 
   for (unsigned i = 0; i != 3; ++i)
     llvm::append_range(result.u, Components{u0[i], u1[i], u2[i]});
-  // The sign of the last value is that of the determinant. The second cannot
-  // be negative by more than rounding.
+  // The last singular value has the sign of the determinant. The second one can
+  // be negative only by rounding.
   result.sigma = {math.mul(sigma0, scale), math.mul(math.dot(u1, b1), scale),
                   math.mul(math.dot(u2, b2), scale)};
   return result;
@@ -323,7 +324,7 @@ static Svd emitSvd3(ScalarMath &math, ArrayRef<Value> a) {
 Svd tai::emitSvd(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
   if (n == 3)
     return emitSvd3(math, a);
-  // A = R S, S = V Σ Vᵀ, U = R V.
+  // With A = R S, R a rotation and S = V Σ Vᵀ, the factor U is R V.
   Components rotation = emitRotation2(math, a);
   Components stretch = math.product(math.transpose(rotation, 2, 2), a, 2, 2, 2);
   SymEig eig = emitSymEig(math, stretch, 2);

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Vectors that are indexed at run time, with all that loops, branches and
-// writes connect them with; and whether those can share one buffer.
+// Finds the vectors that are indexed at run time, with all vectors that loops,
+// branches and writes connect with them, and decides whether connected vectors
+// can share one buffer.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,7 +27,8 @@ static constexpr int64_t kMaxBytes = 1 << 15;
 /// The maximal number of accesses to vectors that need copies in a function:
 /// upstream finds the copies in a time that grows with its third power.
 static constexpr int64_t kMaxAccesses = 200;
-/// The maximal number of pairs of a vector and a write to a connected vector.
+/// The maximal number of pairs, of a vector and a write to a connected vector,
+/// that are compared.
 static constexpr int64_t kMaxPairs = 1 << 22;
 
 //===----------------------------------------------------------------------===//
@@ -44,7 +46,7 @@ Operation *tai::getScope(Operation *op) {
   return op;
 }
 
-/// Whether the op is in a loop of its scope.
+/// Whether a loop in the scope of the op contains the op.
 static bool isInLoop(Operation *op) {
   for (op = op->getParentOp(); isControlFlow(op); op = op->getParentOp())
     if (isa<LoopLikeOpInterface>(op))
@@ -111,8 +113,8 @@ static bool mayBeInMemory(Value value) {
   if (!type || type.isScalable() ||
       !type.getElementType().isIntOrIndexOrFloat())
     return false;
-  // With users in two scopes, iterations of a parallel loop would write the
-  // same buffer.
+  // If a vector had users in two scopes, iterations of a parallel loop would
+  // write the same buffer.
   Operation *scope = getScope(value);
   return llvm::all_of(value.getUsers(),
                       [&](Operation *user) { return getScope(user) == scope; });
@@ -132,7 +134,7 @@ static bool mayFollow(OpOperand &use, Operation *writer) {
   Operation *user = use.getOwner();
   Value vector = use.get();
   Region *region = vector.getParentRegion();
-  // The use may follow in the next iteration of a loop around both.
+  // If a loop contains both, the use may follow in the next iteration.
   for (Operation *op = writer->getParentOp(); op; op = op->getParentOp()) {
     if (op->isAncestor(region->getParentOp()))
       break;
@@ -141,7 +143,8 @@ static bool mayFollow(OpOperand &use, Operation *writer) {
   }
   if (user == writer)
     return false;
-  // The use may follow in another region of an op around both.
+  // If an op contains both in different regions, the region of the use may run
+  // later.
   Operation *common = writer->getParentOp();
   while (!common->isAncestor(user))
     common = common->getParentOp();
@@ -155,11 +158,12 @@ static bool mayFollow(OpOperand &use, Operation *writer) {
   Operation *first = childOf(writer), *second = childOf(user);
   if (first->getBlock() == second->getBlock())
     return first->isBeforeInBlock(second);
-  // Only one of the branches runs.
+  // Only one region of a branch runs.
   return !isa<scf::IfOp, scf::IndexSwitchOp>(common);
 }
 
-/// Whether no vector is still used after another one has been written.
+/// Whether the members can share a buffer: each use of one comes before the
+/// next write of another.
 static bool canShareBuffer(ArrayRef<Value> members, DominanceInfo &dominance) {
   // The arguments of a block are all written at its start.
   if (llvm::count_if(members, [](Value member) {

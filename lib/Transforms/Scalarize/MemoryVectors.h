@@ -23,11 +23,12 @@ bool isControlFlow(Operation *op);
 Operation *getScope(Operation *op);
 Operation *getScope(Value value);
 
-/// Whether the op reads or writes one component, whose position is given in
-/// full.
+/// Whether the op reads, or writes, one component of a vector, whose position
+/// is given in full.
 bool isComponentRead(Operation *op);
 bool isComponentWrite(Operation *op);
-/// Whether the op is such a read or write, at a position computed at run time.
+/// Whether the op reads or writes one component of a vector at a position that
+/// is computed at run time.
 bool isAtRunTime(Operation *op);
 
 /// The vectors of a function that go to memory.
@@ -64,7 +65,7 @@ private:
   bool withCopies;
   unsigned numBuffers = 0;
   int64_t bytes = 0, pairs = 0;
-  /// The number of accesses to vectors that need copies.
+  /// The number of accesses of the function to vectors that need copies.
   int64_t accesses = 0;
 };
 

@@ -347,7 +347,8 @@ LogicalResult Scalarizer::process(Operation *op) {
     auto local = dyn_cast<LocalType>(value.getType());
     return local && isa<VectorType>(local.getElementType());
   };
-  // Arguments are flattened; arrays that the function makes are not.
+  // Arrays of vectors that are arguments become arrays of scalars; an array of
+  // vectors that the function itself makes is refused.
   for (Type type : op->getResultTypes())
     if (auto array = dyn_cast<BaseMemRefType>(type);
         array && isa<VectorType>(array.getElementType()))

@@ -104,7 +104,8 @@ static void expandExtract(vector::ExtractOp op, Scalarizer &scalarizer) {
         int64_t first = linearize(shape.take_front(position.size()), position);
         for (int64_t i = 0; i != count; ++i) {
           Value value = source[first * count + i];
-          // The first candidate needs no condition: one of them holds.
+          // The first candidate is taken without a condition, since the
+          // condition of one candidate holds.
           result[i] = result[i] && condition
                           ? arith::SelectOp::create(builder, op.getLoc(),
                                                     condition, value, result[i])
@@ -112,8 +113,8 @@ static void expandExtract(vector::ExtractOp op, Scalarizer &scalarizer) {
                           : value;
         }
       });
-  // A constant position out of range takes the first component, as does a
-  // position that is out of range at run time.
+  // Without a candidate, the position is constant and out of range: take the
+  // first component, as for a position that is out of range at run time.
   for (int64_t i = 0; i != count; ++i)
     if (!result[i])
       result[i] = source[i];
@@ -142,7 +143,8 @@ static void expandInsert(vector::InsertOp op, Scalarizer &scalarizer) {
   scalarizer.set(op.getResult(), std::move(result));
 }
 
-/// As in NumPy, from the right: missing and unit dimensions are repeated.
+/// Expands a broadcast with the rules of NumPy: dimensions are matched from the
+/// right, and missing and unit dimensions are repeated.
 static void expandBroadcast(vector::BroadcastOp op, Scalarizer &scalarizer) {
   Components source = scalarizer.get(op.getSource());
   ArrayRef<int64_t> from = getShape(op.getSourceType());
@@ -213,7 +215,8 @@ static void expandShuffle(vector::ShuffleOp op, Scalarizer &scalarizer) {
   Components result;
   for (int64_t source : op.getMask())
     for (int64_t i = 0; i != row; ++i)
-      // -1 is poison: any value will do.
+      // An index of -1 in the mask stands for poison, for which any component
+      // will do.
       result.push_back(both[std::max<int64_t>(source, 0) * row + i]);
   scalarizer.set(op.getResult(), std::move(result));
 }

@@ -117,7 +117,7 @@ private:
     SmallVector<Value, 1> results;
   };
   void collect(Operation *op, const MemoryVectors &vectors);
-  /// The buffer, or null for a tensor.
+  /// The buffer of the vector, or null if the vector becomes a tensor.
   Value getBuffer(Value vector);
   void replaceRead(const Access &access);
   void replaceWrite(const Access &access);
@@ -127,7 +127,8 @@ private:
   const MemoryVectors &vectors;
   llvm::DenseMap<unsigned, Value> buffers;
   SmallVector<Access> accesses;
-  /// Values carried by loops and branches, and values from elsewhere.
+  /// carried: vectors that loops and branches carry. given: vectors that other
+  /// ops define.
   SmallVector<Value> carried, given;
 };
 } // namespace
@@ -355,7 +356,8 @@ void VectorReplacer::replaceDefinition(Value vector) {
 void VectorReplacer::run() {
   for (Value value : given)
     replaceDefinition(value);
-  // Loops need not carry buffers: a carried value always has one buffer.
+  // Loops need not carry buffers, because all values of a carried vector are in
+  // the same buffer.
   for (Value value : carried) {
     if (Value buffer = getBuffer(value)) {
       value.setType(buffer.getType());
@@ -364,7 +366,7 @@ void VectorReplacer::run() {
       value.setType(getTensorType(value));
     }
   }
-  // Operands come before their users.
+  // Accesses are in program order, so operands are replaced before their users.
   for (const Access &access : accesses) {
     switch (access.kind) {
     case Kind::Read:
@@ -407,11 +409,11 @@ static LogicalResult copyBuffer(OpBuilder &builder, Location loc, Value from,
   return success();
 }
 
-/// Fails where upstream's analysis leaves a tensor.
+/// Turns tensors into buffers; fails where upstream's analysis leaves a tensor.
 static LogicalResult bufferizeTensors(FunctionOpInterface function) {
   bufferization::OneShotBufferizationOptions options;
   options.allowUnknownOps = true;
-  // The result is checked below.
+  // Allow loops to return allocations: whether any loop does is checked below.
   options.allowReturnAllocsFromLoops = true;
   options.allocationFn = [](OpBuilder &builder, Location loc, MemRefType type,
                             ValueRange, unsigned) -> FailureOr<Value> {
@@ -495,7 +497,8 @@ struct VectorsToMemory : tai::impl::VectorsToMemoryBase<VectorsToMemory> {
             succeeded(simplifyControlFlow(function)) &&
             isOfPlainAccesses(function))
           return hoistBuffers(function);
-        // Try again without vectors that need copies, or keep scalars.
+        // Restore the function, to try again without vectors that need copies
+        // or to keep scalars.
         auto kept = cast<FunctionOpInterface>(*before);
         function.getFunctionBody().takeBody(kept.getFunctionBody());
       }

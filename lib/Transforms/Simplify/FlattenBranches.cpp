@@ -45,7 +45,7 @@ static bool mayRunAnyway(Operation *op) {
 static bool staysFinite(Operation *op, FloatFacts &facts) {
   if (mayHaveNonFinitePartial(op, facts))
     return false;
-  // A result may be non-finite where an operand is.
+  // The result of `op` may be non-finite only where an operand may be.
   return llvm::none_of(op->getResults(), [&](Value result) {
     return isFloatOrVector(result.getType()) && facts.mayBeNonFinite(result) &&
            llvm::none_of(op->getOperands(), [&](Value operand) {

@@ -33,7 +33,8 @@ namespace {
 /// Computes constant expressions, each of them once.
 class Constants {
 public:
-  /// Null if the value is not constant.
+  /// Returns the constant that equals `value`; null if the value is not
+  /// constant.
   Attribute get(Value value) {
     if (auto known = attributes.find(value); known != attributes.end())
       return known->second;
@@ -135,7 +136,8 @@ static bool isOfIndexSpace(Value value) {
     return cast.getIn().getType().getIntOrFloatBitWidth() <= 32;
   if (auto cast = dyn_cast<arith::IndexCastUIOp>(op))
     return cast.getIn().getType().getIntOrFloatBitWidth() < 32;
-  // Results of arith, a branch or a loop may be any number.
+  // Results of arith ops, branches, loops and local variables may be any
+  // number.
   return !isa_and_present<arith::ArithDialect, scf::SCFDialect>(
              op->getDialect()) &&
          !isa<tai::LocalLoadOp>(op);

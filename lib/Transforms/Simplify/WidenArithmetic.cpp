@@ -117,7 +117,8 @@ static Attribute widenNumber(Attribute attr, Type type, FloatType target) {
 }
 
 void Widening::widenAttributes(Operation *op) {
-  // A constant of a wider type than `target` stays.
+  // A constant of the type `target` gets a widened value; a constant of a wider
+  // type stays as it is.
   if (auto constant = dyn_cast<arith::ConstantOp>(op);
       constant && getElementTypeOrSelf(constant.getType()) == target)
     constant.setValueAttr(cast<TypedAttr>(
@@ -135,7 +136,8 @@ void Widening::widenUses(OpBuilder &builder, Value value) {
 /// Casts the operands of `op` back to `operandTypes`, and widens its results.
 void Widening::keep(Operation *op, ArrayRef<Type> operandTypes) {
   OpBuilder builder(op);
-  // An extension to the type that its operand now has is redundant.
+  // An extension to the wide type is redundant if its operand now has this
+  // type.
   if (auto extension = dyn_cast<arith::ExtFOp>(op);
       extension && extension.getIn().getType() == widen(extension.getType())) {
     extension.replaceAllUsesWith(extension.getIn());
@@ -155,7 +157,8 @@ void Widening::keep(Operation *op, ArrayRef<Type> operandTypes) {
 }
 
 void Widening::run() {
-  // The operand types before any type changes.
+  // An op whose types do not change, and the types of its operands before other
+  // types change.
   struct Kept {
     Operation *op;
     SmallVector<Type> operandTypes;

@@ -13,13 +13,15 @@ using namespace mlir;
 using namespace mlir::tai;
 
 LogicalResult tai::checkOrderIsFixed(ParallelForOp loop) {
-  // The additions of a warp are put in order when the loop is lowered.
+  // Skip a loop that a warp runs together: its additions are put in order when
+  // the loop is lowered.
   if (!loop.getOrder() || loop.getSerialize() || loop.getInWarp())
     return success();
   WalkResult result = loop.walk([&](LLVM::AtomicRMWOp update) {
     bool isSum = update.getBinOp() == LLVM::AtomicBinOp::fadd ||
                  update.getBinOp() == LLVM::AtomicBinOp::fsub;
-    // Memory that an iteration allocates is not shared.
+    // Skip updates of memory that an iteration allocates, which no other
+    // iteration shares.
     Value memory = update.getPtr();
     while (auto element = memory.getDefiningOp<LLVM::GEPOp>())
       memory = element.getBase();

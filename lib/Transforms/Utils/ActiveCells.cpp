@@ -38,7 +38,8 @@ void tai::markActive(ParallelForOp loop, FieldTable &fields) {
   if (failed(found) || (*found)->sparse.empty())
     return;
   const FieldInfo &field = **found;
-  // A deactivation may concern the cell of the iteration.
+  // Give up if the loop deactivates cells, since the cell of the iteration may
+  // be one of them.
   WalkResult deactivates =
       loop.walk([](DeactivateOp) { return WalkResult::interrupt(); });
   if (deactivates.wasInterrupted())

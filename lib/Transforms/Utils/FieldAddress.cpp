@@ -100,7 +100,7 @@ unsigned tai::getListDimension(const FieldInfo &field) {
 
 Value tai::emitListNumber(OpBuilder &builder, Location loc,
                           const FieldInfo &field, ValueRange indices) {
-  // Take the first cell of the list: its index in the list is zero.
+  // Use the index zero within the list, which addresses its first cell.
   SmallVector<Value> all(indices);
   unsigned dimension = getListDimension(field);
   IndexMath math(builder, loc);
@@ -130,7 +130,8 @@ Value tai::emitTreeAddress(OpBuilder &builder, Location loc,
   Value base = emitTreeBase(builder, loc, field);
   if (bytes == 0)
     return base;
-  // A constant of a GEP has 29 bits; trees may be larger.
+  // A constant operand of LLVM::GEPOp has 29 bits; offsets in trees may be
+  // larger.
   LLVM::GEPArg offset = static_cast<int32_t>(bytes);
   if (!llvm::isInt<29>(bytes))
     offset =
@@ -189,8 +190,8 @@ Value tai::emitPointer(OpBuilder &builder, Location loc, Type storageType,
 
 /// Removes a small constant that is added to `index`, and returns it.
 static int64_t peelConstant(OpBuilder &builder, Location loc, Value &index) {
-  // An accessed index is in range. An index this close to it is far from the
-  // limits of its type: the sums do not overflow.
+  // The index of an access is in range, so a sum within `most` of it is far
+  // from the limits of its type and does not overflow.
   constexpr int64_t most = 64;
   int64_t sum = 0;
   Value value = index;
@@ -228,8 +229,8 @@ static int64_t peelConstant(OpBuilder &builder, Location loc, Value &index) {
   return sum;
 }
 
-/// The distance of neighbours along each dimension, in bytes; 0 where it varies
-/// or is large.
+/// The address distance, in bytes, of neighbouring elements along each
+/// dimension; 0 where it varies or is large.
 static SmallVector<int64_t> getStrides(const FieldInfo &field) {
   SmallVector<int64_t> strides(field.layout.shape.size(), 0);
   llvm::SmallDenseSet<unsigned> several;

@@ -18,7 +18,8 @@ bool mlir::tai::mayBeVectorized(Block &block) {
     loop = loop->getParentOp();
   if (!isa_and_nonnull<ParallelForOp>(loop))
     return false;
-  // Inner loops, atomics and small dense algebra keep loops scalar.
+  // A loop stays scalar if it contains inner loops, atomics or small dense
+  // algebra.
   return !loop->walk([&](Operation *op) {
                 if (op != loop && isa<LoopLikeOpInterface>(op))
                   return WalkResult::interrupt();

@@ -71,8 +71,8 @@ bool BlockLoop::coversBlocks(const FieldInfo &other, unsigned level) const {
   });
 }
 
-/// Adds the cells that `op` asks about to the neighbours that are active in the
-/// interior. False if that is not possible.
+/// Adds the cells whose activity `op` queries to the neighbours that must be
+/// active in the interior. False if that is not possible.
 bool BlockLoop::addNeighbours(IsActiveOp op, FieldTable &fields) {
   FailureOr<const FieldInfo *> found = fields.lookup(op, op.getFieldAttr());
   if (failed(found) || (*found)->sparse.empty() ||
@@ -132,7 +132,8 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       std::optional<ConstantStretch> stretch =
           getConstantStretch(result, variables.front(), field->layout.offset[d],
                              field->layout.offset[d] + field->layout.shape[d]);
-      // A condition that changes too often has no large interior.
+      // A condition that is constant over less than half of the dimension would
+      // leave a small interior: skip it.
       if (!stretch ||
           2 * (stretch->upper - stretch->lower) < field->layout.shape[d])
         continue;
@@ -141,7 +142,8 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       upper[d] = std::min(upper[d], stretch->upper);
     }
   });
-  // Truth values that follow from the answers found so far.
+  // Find truth values that follow from the conditions that are constant in the
+  // interior.
   body.walk([&](Operation *op) {
     if (op->getNumResults() != 1 || answers.contains(op->getResult(0)) ||
         !op->getResult(0).getType().isInteger(1))
@@ -156,12 +158,12 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       operands.push_back(constant);
     }
     SmallVector<OpFoldResult> results;
-    // Fold a clone, because folding may change an op in place.
+    // Fold a clone of the op, because folding may change an op in place.
     Operation *copy = op->cloneWithoutRegions();
     std::optional<bool> answer;
     if (succeeded(copy->fold(operands, results)) && results.size() == 1) {
       if (auto same = dyn_cast<Value>(results[0])) {
-        // The op folds to one of its operands.
+        // The op folds to one of its operands, whose truth value may be known.
         if (auto known = answers.find(same); known != answers.end())
           answer = known->second;
       } else if (auto constant =
@@ -242,7 +244,8 @@ bool BlockLoop::canWrite(BlockAccess &access) {
     return false;
   if (other.sparse.empty() || access.op->hasAttr(kActiveAttrName))
     return true;
-  // The block lies in one cell of the innermost sparse level.
+  // One op can activate the block only if the block lies in one cell of the
+  // innermost sparse level.
   if (other.sparse.back().type.isList() ||
       access.indices.size() != extents.size())
     return false;

@@ -43,12 +43,13 @@ struct BlockAccess {
   std::optional<unsigned> rowIndex;
 };
 
-/// The digit of an index that counts single elements, or null.
+/// The digit of an index along the dimension that counts single elements; null
+/// if there is none.
 const IndexDigit *findInnermost(const FieldInfo &field, unsigned dimension);
 
 class BlockLoop {
 public:
-  /// Analyses the loop; none if it cannot run on whole rows.
+  /// Analyses the loop; nullopt if it cannot run on whole rows.
   static std::optional<BlockLoop> analyze(ParallelForOp loop,
                                           FieldTable &fields);
 

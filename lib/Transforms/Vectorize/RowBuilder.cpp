@@ -76,8 +76,8 @@ int64_t RowBuilder::getFirst(const BlockAccess &access) const {
   return access.field->cellOffset / access.field->scalarSize + access.component;
 }
 
-/// A digit of the address of a row. A digit that counts the elements of a block
-/// is constant if the position of the row in its block is.
+/// Emits a digit of the address of a row. A digit that counts the elements of a
+/// block is constant if the position of the row in its block is.
 Value RowBuilder::emitIndex(const BlockAccess &access, const IndexDigit &digit,
                             int64_t blocks) {
   const FieldInfo &field = *access.field;
@@ -128,7 +128,8 @@ Value RowBuilder::emitIndex(const BlockAccess &access, const IndexDigit &digit,
 
 Value RowBuilder::emitRowPointer(const BlockAccess &access, int64_t blocks) {
   const FieldInfo &field = *access.field;
-  // Constants last, so that blocks share the other terms.
+  // Add constants last, so that the addresses of several blocks share the other
+  // terms.
   Value offset = math.constant(0);
   int64_t known = 0;
   for (const IndexDigit &digit : field.storage.digits) {
@@ -158,7 +159,7 @@ static Value shuffle(OpBuilder &builder, Location loc, Value a, Value b,
   return LLVM::ShuffleVectorOp::create(builder, loc, a, b, mask);
 }
 
-/// first, first + step, …
+/// The integers first, first + step, and so on: `count` of them.
 static SmallVector<int32_t> getSteps(int64_t first, int64_t step,
                                      int64_t count) {
   SmallVector<int32_t> mask;
@@ -175,7 +176,8 @@ RowBuilder::RowKey RowBuilder::getKey(const BlockAccess &access,
       key.second.push_back({form.invariant.getAsOpaquePointer(), 0});
       continue;
     }
-    // A distance that is not constant is equal in all rows that are compared.
+    // A distance that is not constant counts as 0, since it is equal in all
+    // rows that are compared.
     int64_t distance = 0;
     if (form.variable == block.rowDimension)
       distance = isWhole(access) ? form.shift : blocks;
@@ -310,7 +312,7 @@ void RowBuilder::emitAccess(const BlockAccess &access) {
   if (auto load = dyn_cast<LoadOp>(access.op)) {
     if (!needed.contains(load))
       return;
-    // All iterations read the same element.
+    // Without a row index, all iterations read the same element: a scalar.
     if (!access.rowIndex)
       builder.clone(*load, values);
     else

@@ -25,8 +25,8 @@ public:
   RowBuilder(OpBuilder &builder, const BlockLoop &block, FieldTable &fields,
              ValueRange origin);
 
-  /// Emits the row at these distances from the origin; the distance along the
-  /// row is ignored.
+  /// Emits the row that begins at these distances from the block's first
+  /// element; the distance along the row is ignored.
   void emitRow(ArrayRef<OpFoldResult> distances);
 
 private:
@@ -35,7 +35,7 @@ private:
   void emitOp(Operation *op);
   void findNeeded();
 
-  /// Loads the elements of a row for an access, and stores them.
+  /// Load the row of elements that an access reaches, or store a vector to it.
   Value loadRow(const BlockAccess &access);
   void storeRow(const BlockAccess &access, Value vector);
   /// Loads the row that is `blocks` blocks further along the row dimension.
@@ -61,8 +61,8 @@ private:
   VectorType vectorOf(Type scalar) const {
     return VectorType::get({block.rowLength()}, scalar);
   }
-  /// The stride, in elements, of the accesses of a row, and the position of the
-  /// first in its cell.
+  /// getStep: the distance, in elements, of consecutive accesses of a row.
+  /// getFirst: the position of the first access in its cell.
   int64_t getStep(const BlockAccess &access) const;
   int64_t getFirst(const BlockAccess &access) const;
   /// The shift along the row: index of the access in the first iteration minus
@@ -81,8 +81,9 @@ private:
   /// Maps values of the body to emitted ones: scalars if uniform.
   IRMapping values;
   llvm::DenseSet<Operation *> needed;
-  /// Places that the loop writes; and loaded rows of other places, which are
-  /// reused, because a load shortly after a store to nearby memory stalls.
+  /// written: places that the loop writes. rows: loaded rows of other places,
+  /// which are reused, because a load shortly after a store to nearby memory
+  /// stalls.
   llvm::DenseSet<Attribute> written;
   std::map<RowKey, Value, RowOrder> rows;
   llvm::DenseMap<Value, Value> vectors;

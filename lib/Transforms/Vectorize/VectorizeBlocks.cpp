@@ -31,7 +31,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether the block is in the interior, or null if all blocks are.
+/// Emits whether the block at `origin` is in the interior; null if all blocks
+/// are.
 static Value emitIsInterior(OpBuilder &builder, const BlockLoop &block,
                             ValueRange origin) {
   Location loc = ParallelForOp(block.loop).getLoc();
@@ -168,7 +169,8 @@ static void emitElements(OpBuilder &builder, const BlockLoop &block,
   OpBuilder::InsertionGuard guard(builder);
   IndexMath math(builder, loc);
   SmallVector<Value> indices(origin);
-  // Nothing is unrolled: loops in memory order, the row innermost.
+  // Unroll nothing: loops visit the elements in memory order, the row
+  // innermost.
   forEachRow(builder, block, /*limit=*/0, [&](ArrayRef<OpFoldResult> rows) {
     auto row =
         scf::ForOp::create(builder, loc, math.constant(0),
@@ -204,7 +206,8 @@ static void vectorize(const BlockLoop &block, FieldTable &fields,
   builder.setInsertionPointToStart(&blocks.getBody().front());
   auto ivs = blocks.getInductionVars();
   SmallVector<Value> origin(ivs.begin(), ivs.end());
-  // tai-lower-struct-for counts the first element of each block.
+  // tai-lower-struct-for counts the first element of each block as visited;
+  // count the other elements here.
   int64_t elements = 1;
   for (int64_t extent : block.extents)
     elements *= extent;
@@ -213,7 +216,8 @@ static void vectorize(const BlockLoop &block, FieldTable &fields,
   Value inside = emitIsInterior(builder, block, origin);
   inside = emitActivations(builder, block, origin, inside, keeps);
   if (inside) {
-    // The other path is long, and should take no registers from this one.
+    // Mark this path as likely: the other one is long, and should take no
+    // registers from this one.
     Value likely = arith::ConstantIntOp::create(builder, loc, 1, 1);
     inside = LLVM::ExpectOp::create(builder, loc, inside, likely);
     auto branch = scf::IfOp::create(builder, loc, inside,
@@ -222,7 +226,7 @@ static void vectorize(const BlockLoop &block, FieldTable &fields,
     emitElements(builder, block, origin);
     builder.setInsertionPointToStart(branch.thenBlock());
   }
-  // The writes of two paths are counted once.
+  // If there are two paths, the writes are counted in the other one.
   for (const auto &[op, access] : block.accesses)
     if (!inside && !isa<LoadOp>(op) && !access.field->sparse.empty())
       SkipScope::count(SkipCount::WritesDemoted);
