@@ -120,7 +120,8 @@ Value AccessLowering::checkRange(Operation *op, ValueRange zeroBased,
     return {};
   OpBuilder builder(op);
   Location loc = op->getLoc();
-  // `what` shows the extents of an array that become known only at the launch.
+  // The message `what` also shows the extents that become known only at the
+  // launch.
   SmallVector<Value> whatShows;
   for (OpFoldResult extent : extents)
     if (Value value = dyn_cast<Value>(extent))

@@ -26,7 +26,7 @@ namespace mlir::tai {
 /// 4 KiB); so the groups of one module are reused for the next.
 class AccessGroups {
 public:
-  /// Makes all groups available again.
+  /// Makes all access groups available again, for the next module.
   void reuse() { used = 0; }
   void forget() {
     groups.clear();
@@ -71,7 +71,7 @@ public:
       : function(function), fields(fields), groups(groups),
         boundsCheck(boundsCheck), onDevice(onDevice) {}
 
-  /// The field that an op names.
+  /// Looks up the field that an op names.
   FailureOr<const FieldInfo *> getField(Operation *op) {
     return fields.lookup(op, getNamedField(op));
   }

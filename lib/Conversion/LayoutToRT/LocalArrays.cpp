@@ -19,7 +19,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The combination of `tai.atomic` that an upstream kind names.
+/// The kind of `tai.atomic` that corresponds to an upstream kind.
 static std::optional<AtomicKind> toAtomicKind(arith::AtomicRMWKind kind) {
   switch (kind) {
   case arith::AtomicRMWKind::addf:

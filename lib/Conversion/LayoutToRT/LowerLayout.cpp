@@ -45,7 +45,7 @@ template <typename Op> struct AccessPattern : OpRewritePattern<Op> {
   AccessLowering &lowering;
 };
 
-/// Lowers one op that names a field, which is looked up.
+/// Base of patterns that lower an op which names a field: looks up the field.
 template <typename Op> struct FieldPattern : AccessPattern<Op> {
   using AccessPattern<Op>::AccessPattern;
 
@@ -124,8 +124,8 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
 
     SmallVector<Value> zeroBased = emitZeroBased(rewriter, loc, field, indices);
     Value inRange = lowering.checkElement(op, field, zeroBased);
-    // The loop does this update itself; the op remains, and must be guarded
-    // too.
+    // The loop will do this update itself; the op remains until then, and needs
+    // the check of its indices, too.
     if (isDoneByLoop(op)) {
       if (inRange) {
         auto branch = scf::IfOp::create(rewriter, loc, inRange);
@@ -491,7 +491,8 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
       // From here on, accesses in a host function are plain memory accesses.
       if (isa<func::FuncOp>(function))
         markLowered(function);
-      // A host program has few accesses, and no other check of its indices.
+      // Always check the indices of a host program: it has few accesses, and no
+      // other check.
       bool isChecked = boundsCheck || isa<func::FuncOp>(function);
       AccessLowering lowering(function, fields, groups, isChecked, onDevice);
       return failed(lowerAccesses(function, fields, lowering, onDevice))

@@ -141,7 +141,8 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
     int64_t elements = 1;
     for (const IndexDigit *digit : inner)
       elements *= digit->extent;
-    // Nothing writes to the list while the kernel runs.
+    // The load is invariant: nothing writes to the list of cells while the
+    // kernel runs.
     Value rest = math.toIndex(LLVM::LoadOp::create(
         builder, loc, i64, pointer, /*alignment=*/8, /*isVolatile=*/!hoists,
         /*isNonTemporal=*/false, /*isInvariant=*/hoists));
@@ -154,7 +155,8 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
         rest = math.div(rest, count);
       for (const IndexDigit *digit : getDigits(field, level, level + 1)) {
         Value value = math.div(cell, digit->weight);
-        // The outermost digit of a level needs no remainder.
+        // The outermost digit of a level is the quotient itself, without a
+        // remainder.
         add(*digit, digit->weight * digit->extent == count
                         ? value
                         : math.rem(value, digit->extent));

@@ -20,7 +20,8 @@ using namespace mlir::tai;
 namespace {
 struct ElementAccess {
   Operation *op;
-  /// The field; null for arrays, any two of which may alias.
+  /// The field of the access; null for an access to an array, since any two
+  /// arrays may alias.
   const FieldInfo *field;
   ValueRange indices, components;
   bool stores;
@@ -140,7 +141,8 @@ SmallVector<ElementAccess> collectAccesses(ParallelForOp loop,
       add(op, store.getFieldAttr(), store.getIndices(), store.getComponents(),
           true);
     else if (auto atomic = dyn_cast<AtomicOp>(op); atomic && !isDoneByLoop(op))
-      // Updates that the loop does itself go to private partial sums.
+      // Skip updates that the loop does itself: they go to private partial
+      // sums.
       add(op, atomic.getFieldAttr(), atomic.getIndices(),
           atomic.getComponents(), true);
     else if (auto load = dyn_cast<memref::LoadOp>(op))

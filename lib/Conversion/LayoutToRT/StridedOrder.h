@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// On a parallel loop: its iterations are independent, but LLVM must not be
-/// told so.
+/// Attribute of a parallel loop whose iterations are independent, but which
+/// must not be annotated as parallel for LLVM.
 constexpr llvm::StringLiteral kKeepsOrderAttrName = "tai.keeps_order";
 
 /// Whether an iteration of the loop stores to an element and then accesses an

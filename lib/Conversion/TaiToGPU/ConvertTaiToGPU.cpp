@@ -181,12 +181,13 @@ LogicalResult KernelOffload::run() {
       bytes = math.mul(bytes, extent);
     for (int64_t d = extents.size(); d != type.getRank(); ++d)
       bytes = math.mul(bytes, type.getDimSize(d));
-    // Assume that the kernel writes the array; its uses, replaced later, tell.
+    // Assume for now that the kernel writes the array: its uses, which are
+    // replaced later, decide.
     return runtime.tai_rt_device_array(
         b, loc, frame, address, math.toI64(bytes), runtime.i32(b, loc, 1));
   };
-  // Determine this first: once arguments are replaced, extents of arrays look
-  // like integer arguments.
+  // Find countless loops first: once arguments are replaced, extents of arrays
+  // look like integer arguments.
   lowering.countless.clear();
   kernel.walk([&](ParallelForOp loop) {
     if (mayBeCountless(loop))
@@ -195,12 +196,12 @@ LogicalResult KernelOffload::run() {
   if (failed(replaceArguments(kernel, frame, builder, runtime, arrayAddress)))
     return failure();
   SmallVector<LLVM::CallOp> arrays(entry->getOps<LLVM::CallOp>());
-  // The ops of the kernel follow this op.
+  // An op that marks the start: all ops of the kernel follow it.
   auto start = LLVM::ZeroOp::create(builder, loc, runtime.getPointerType());
   entry->getOperations().splice(entry->end(), body.getOperations());
   for (LLVM::CallOp array : arrays) {
-    // Unused arrays are not copied: a kernel without effects has no device code
-    // either.
+    // Arrays without uses are not copied to the device: a kernel without
+    // effects has no device code, either.
     if (array.use_empty()) {
       array.erase();
     } else if (!isWritten(array.getResult())) {
@@ -235,7 +236,8 @@ LogicalResult KernelOffload::run() {
   return success();
 }
 
-/// Functions that device code calls and the module declares for the host.
+/// Declares the functions that device code calls, in the device module as they
+/// are declared for the host.
 static void declareCallees(ModuleOp module, gpu::GPUModuleOp kernels) {
   SymbolTable known(kernels), outer(module);
   OpBuilder builder = OpBuilder::atBlockBegin(&kernels.getBodyRegion().front());

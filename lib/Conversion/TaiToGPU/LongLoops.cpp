@@ -33,8 +33,8 @@ using namespace mlir::tai;
 static constexpr uint64_t kLongLoop = 20000000;
 /// The number of operations between two polls, if the loop runs that long.
 static constexpr uint64_t kBetween = 4096;
-/// The number of iterations between two polls, where the length of an iteration
-/// is unknown.
+/// The number of iterations between two polls of a loop whose iterations have
+/// an unknown length.
 static constexpr uint64_t kIterationsBetween = 16;
 /// The cost of a loop that may be long, as part of the body of another loop.
 static constexpr uint64_t kUnknown = UINT64_MAX;
@@ -47,7 +47,8 @@ public:
 
   /// The largest number of operations that one run of the block executes.
   uint64_t visit(Block &block);
-  /// Visits the loop over the iterations of a thread.
+  /// Inserts polls into the loop over the iterations of a thread, and into
+  /// loops inside of it.
   void visitIterations(scf::ForOp loop, bool areCountless);
 
 private:
@@ -82,7 +83,7 @@ uint64_t LoopPolls::visitLoop(scf::ForOp loop) {
       return all;
   } else if (!runsAlone && (perIteration != kUnknown ||
                             (count && count->ule(kIterationsBetween)))) {
-    // A loop around this loop, or a loop inside it, polls.
+    // This loop does not poll: a loop around it or a loop inside of it does.
     return kUnknown;
   }
   poll(*loop.getBody(), loop.getLoc(), perIteration);
@@ -91,7 +92,8 @@ uint64_t LoopPolls::visitLoop(scf::ForOp loop) {
 
 uint64_t LoopPolls::visit(Block &block) {
   uint64_t sum = 0;
-  // Polls are inserted between the operations of the block.
+  // Advance the iterator early, since polls are inserted between the operations
+  // of the block.
   for (Operation &op : llvm::make_early_inc_range(block)) {
     uint64_t own = 1;
     if (auto loop = dyn_cast<scf::ForOp>(op)) {
@@ -128,7 +130,7 @@ static bool isLong(Value bound) {
 }
 
 bool tai::mayBeCountless(ParallelForOp loop) {
-  // More iterations than a whole device runs in hours.
+  // A number of iterations that takes a whole device hours.
   constexpr uint64_t kCountless = uint64_t(1) << 40;
   uint64_t known = 1;
   for (auto [lower, upper] :

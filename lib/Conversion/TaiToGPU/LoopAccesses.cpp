@@ -25,7 +25,7 @@ using namespace mlir;
 using namespace mlir::tai;
 using runtime::DeviceAccess;
 
-/// The analysis of more accesses than this would take too long.
+/// The maximum number of accesses to analyse, which bounds the time.
 static constexpr size_t kMostAccesses = 96;
 
 static int64_t getSize(Type type) {
@@ -36,7 +36,8 @@ static int64_t getSize(Type type) {
 
 LoopAccesses::LoopAccesses(ParallelForOp loop)
     : loop(loop), expressions(loop), box(getConstantBox(loop)) {
-  // The bounds of a box that offsets are computed from must lie within this.
+  // The bounds of a box are used only within +-2^31, so that offsets computed
+  // from them do not overflow.
   constexpr int64_t most = int64_t(1) << 31;
   if (box)
     for (auto [from, to] : llvm::zip(box->lower, box->upper))
@@ -61,7 +62,8 @@ void LoopAccesses::addSlot(Value value) {
 void LoopAccesses::visit(Operation *op) {
   for (Value operand : op->getOperands())
     addSlot(operand);
-  // The code that determines the target of a sum records it with addSum.
+  // Skip an update that the loop does itself: addSum records the target of its
+  // sum.
   if (isDoneByLoop(op))
     return;
   auto digits = op->getAttrOfType<DenseI64ArrayAttr>(kDigitsAttrName);
@@ -87,7 +89,7 @@ void LoopAccesses::visit(Operation *op) {
     return add(update.getPtr(), type,
                isSum ? DeviceAccess::Sum : DeviceAccess::Write, digits);
   }
-  // Memory of these operations belongs to one thread.
+  // These operations access memory of one thread only.
   if (isa<LLVM::AllocaOp, AllocaOp, LocalLoadOp, LocalStoreOp, StackCreateOp,
           StackPushOp, StackPopOp, StackDestroyOp>(op))
     return;
@@ -99,7 +101,7 @@ void LoopAccesses::visit(Operation *op) {
     isKnown = false;
 }
 
-/// Widens the access to `count` places, `step` bytes from one to the next.
+/// Widens the access to `count` places, each `step` bytes after the one before.
 void LoopAccesses::widen(Address &address, int64_t count, int64_t step) {
   if (count <= 1 || step == 0)
     return;
@@ -122,7 +124,8 @@ static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
     lower = getConstantIntValue(serial.getLowerBound());
     upper = getConstantIntValue(serial.getUpperBound());
     step = getConstantIntValue(serial.getStep()).value_or(0);
-    // Bounds that are compared without a sign may have any order.
+    // As unsigned bounds, the lower one may be greater than the upper one if
+    // either is negative.
     if (serial.getUnsignedCmp() && lower && upper && (*lower < 0 || *upper < 0))
       return std::nullopt;
   } else if (auto inner = dyn_cast<ParallelForOp>(parent)) {
@@ -139,7 +142,7 @@ static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
 
 bool LoopAccesses::addTerms(Address &address, Value value, int64_t scale) {
   IndexExpr expr = expressions.get(value);
-  // Sums in 8 or 16 bits wrap around.
+  // Give up on sums in 8 or 16 bits, which may wrap around.
   if (expr.width < 32)
     return false;
   DeviceAccess &access = address.access;
@@ -175,7 +178,8 @@ bool LoopAccesses::addTerms(Address &address, Value value, int64_t scale) {
       access.offset += stride * trips->second;
       widen(address, trips->first, stride * step);
     } else if (term == value || !addTerms(address, term, stride)) {
-      // Any other term is a narrow sum that may wrap before it is extended.
+      // Give up on any other term, a narrow sum that may wrap before it is
+      // extended.
       return false;
     }
   }
@@ -235,7 +239,8 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
   return true;
 }
 
-/// False for memory that belongs to one thread, and for unknown memory.
+/// Follows `pointer` back to its definition outside of the loop; false for
+/// memory that belongs to one thread, and for unknown memory.
 bool LoopAccesses::follow(Address &address, Value pointer,
                           DenseI64ArrayAttr digits) {
   while (!loop.isDefinedOutsideOfLoop(pointer)) {
@@ -369,7 +374,8 @@ bool LoopAccesses::complete(Address &address, ParameterFinder getParameter) {
     if (!term)
       return false;
     Type type = value.getType();
-    // An i1 is not sign-extended, as `terms` assumes.
+    // Give up on an i1, which is not sign-extended, contrary to the values in
+    // `terms`.
     int64_t bits = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
     if (bits == 1 || bits > 64)
       return false;
@@ -383,7 +389,8 @@ DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
     return {};
   runtime::FunctionAccesses result;
   result.isGridStride = isGridStride;
-  // A warp that synchronises before and after the loop is like one thread.
+  // For the order of memory accesses, a warp that synchronises before and after
+  // the loop acts like one thread.
   bool inWarp = loop.getInWarp();
   bool isSingle = inWarp && box && effects != Effects::Sums;
   if (isSingle)

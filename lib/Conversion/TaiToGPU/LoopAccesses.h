@@ -19,14 +19,17 @@ namespace mlir::tai {
 
 class RuntimeCalls;
 
-/// On a device function: its accesses, as FunctionAccesses encodes them.
+/// Attribute of a device function: its accesses to memory, as FunctionAccesses
+/// encodes them.
 constexpr llvm::StringLiteral kAccessesAttrName = "tai.accesses";
 
-/// On a device function that can run in tiles: lower bounds of the loop and its
-/// sites, as FunctionAccesses::encodeSites encodes them.
+/// Attribute of a device function that can run in tiles: the lower bounds of
+/// its loop and its access sites, as FunctionAccesses::encodeSites encodes
+/// them.
 constexpr llvm::StringLiteral kTilesAttrName = "tai.tiles";
 
-/// On a load or store in the body of a loop that can run in tiles: its number.
+/// Attribute of a load or store in the body of a loop that can run in tiles:
+/// the number of this access site.
 constexpr llvm::StringLiteral kSiteAttrName = "tai.site";
 
 /// Collects the addresses in a loop whose accesses have been lowered to memory,
@@ -45,8 +48,8 @@ public:
   using ParameterFinder =
       llvm::function_ref<std::optional<std::pair<int64_t, int64_t>>(Value)>;
 
-  /// The encoded accesses, with captured values by the numbers of their
-  /// parameters; null where not all accesses are known.
+  /// Encodes the accesses, with captured values by the numbers of their
+  /// parameters; null if not all accesses are known.
   DenseI64ArrayAttr encode(ParameterFinder getParameter);
 
   /// Whether iterations access memory by loads and stores alone, so that they

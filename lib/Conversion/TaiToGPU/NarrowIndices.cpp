@@ -78,7 +78,8 @@ private:
   bool fits(scf::ForOp loop);
   bool fits(ParallelForOp loop);
 
-  /// Returns false, and emits a remark with the reason if remarks are wanted.
+  /// Fails the proof: returns false, and emits a remark with the reason if
+  /// remarks are wanted.
   bool fail(Operation *op, StringRef reason) {
     if (remarks)
       op->emitRemark("indices have 64 bits: ") << reason;
@@ -91,7 +92,7 @@ private:
 };
 } // namespace
 
-/// Collects comparisons whose conjunction `condition` implies.
+/// Collects comparisons that hold wherever `condition` holds.
 static void collectConditions(Value condition,
                               SmallVectorImpl<arith::CmpIOp> &conditions) {
   if (auto both = condition.getDefiningOp<arith::AndIOp>()) {
@@ -178,7 +179,8 @@ bool Proof::fits(Value index) {
   ConstantIntRanges range = ranges.get(index);
   if (range.smin().isSignedIntN(32) && range.smax().isSignedIntN(32))
     return true;
-  // x[t + 1] for any t of type i32.
+  // Allow a subscript to exceed 32 bits by a small constant, as in x[t + 1] for
+  // any t of type i32.
   return -kMostShift <= range.smin().getSExtValue() -
                             std::numeric_limits<int32_t>::min() &&
          range.smax().getSExtValue() - std::numeric_limits<int32_t>::max() <=
@@ -197,7 +199,7 @@ bool Proof::isSubscript(Value index) {
       return isSubscript(user->getResult(0));
     if (auto load = dyn_cast<LoadOp>(user))
       return number < load.getIndices().size();
-    // Operand 0 is the stored value; the indices follow.
+    // Operand 0 of a store is the stored value; the indices follow.
     if (auto store = dyn_cast<StoreOp>(user))
       return number != 0 && number <= store.getIndices().size();
     if (auto atomic = dyn_cast<AtomicOp>(user))
@@ -230,7 +232,8 @@ bool Proof::fits(scf::ForOp loop) {
     return true;
   if (loop.getUnsignedCmp())
     return false;
-  // The last index is at most the bound minus one; the step is added to it.
+  // In a signed loop, the index is at most the bound minus one before the step
+  // is added to it.
   ConstantIntRanges upper = ranges.get(loop.getUpperBound());
   ConstantIntRanges step = ranges.get(loop.getStep());
   return step.smin().isStrictlyPositive() &&
@@ -250,8 +253,8 @@ bool Proof::fits(ParallelForOp loop) {
   }
   if (count <= kMostBytes)
     return true;
-  // A loop over the iterations of a thread, whose comparison is unsigned, adds
-  // the stride of the grid to their number; a warp adds more.
+  // A loop over the iterations of a thread compares its index as unsigned and
+  // only adds the stride of the grid to it; a warp's loop adds more.
   return loop.getLowerBounds().size() == 1 && !loop.getInWarp() &&
          !getConstantIntValue(loop.getUpperBounds().front());
 }
@@ -268,7 +271,8 @@ bool Proof::run() {
     return llvm::all_of(values, [&](Value value) { return fits(value); });
   };
   for (auto kernel : module.getOps<KernelOp>()) {
-    // The sizes of arrays are known only at the launch.
+    // Give up on a kernel with arrays, whose sizes are known only at the
+    // launch.
     if (llvm::any_of(kernel.getArgumentTypes(), llvm::IsaPred<MemRefType>))
       return fail(kernel, "how large an array is, its launch says");
     WalkResult result = kernel->walk([&](Operation *op) {

@@ -24,31 +24,33 @@ struct DeviceLowering {
                  gpu::GPUModuleOp kernels)
       : host(host), device(device), kernels(kernels) {}
 
-  /// The lowerings of host code, and of the functions in `kernels`.
+  /// host: the lowering of host code. device: the lowering of the device
+  /// functions in `kernels`.
   ModuleLowering &host, &device;
   gpu::GPUModuleOp kernels;
-  /// Loops of this kernel that mayBeCountless.
+  /// The loops of the kernel for which mayBeCountless() holds.
   llvm::SmallPtrSet<Operation *, 4> countless;
 };
 
-/// On an unrealized_conversion_cast from an address to a value: the value is in
-/// device memory at that address. A second operand is a prediction of the
-/// value.
+/// Attribute of an unrealized_conversion_cast from an address to a value that
+/// is in device memory at that address. A second operand of the cast is a
+/// prediction of the value.
 constexpr llvm::StringLiteral kDeviceSlotAttrName = "tai.device_slot";
 
-/// On an unrealized_conversion_cast in a loop: the address of the target of the
-/// loop's sum with this number.
+/// Attribute of an unrealized_conversion_cast in a loop whose result is the
+/// target address of a sum of the loop: the number of this sum.
 constexpr llvm::StringLiteral kSumTargetAttrName = "tai.sum_target";
 
-/// On an op of host code that produces an address: its alignment in bytes.
+/// Attribute of a host op that produces an address: the alignment of the
+/// address in bytes.
 constexpr llvm::StringLiteral kAlignmentAttrName = "tai.alignment";
 
-/// The alignment, in bytes, of a tree on every device; enough for the widest
-/// access.
+/// The alignment, in bytes, that trees have on every device; enough for the
+/// widest memory access.
 constexpr int64_t kTreeAlignment = 16;
 
-/// On a module, by `tai-narrow-indices`, and then on its gpu.module: the width
-/// of an index in bits; 64 where absent.
+/// Attribute that `tai-narrow-indices` sets on a module, and that its
+/// gpu.module gets later: the width of an index in bits; 64 if absent.
 constexpr llvm::StringLiteral kIndexBitsAttrName = "tai.index_bits";
 
 /// True for a loop that becomes a device function.

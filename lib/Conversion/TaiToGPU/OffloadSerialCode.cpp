@@ -28,7 +28,8 @@ bool tai::isDeviceLoop(Operation *op) {
          !loop->getParentOfType<ParallelForOp>();
 }
 
-/// Only the host requests lists of active cells and refuses launches.
+/// True for ops that request lists of active cells or refuse launches, which
+/// only the host can do.
 static bool isHostOp(Operation *op) {
   return isa<ActiveCellsOp, ListIsCurrentOp, PreconditionOp>(op);
 }
@@ -73,7 +74,7 @@ static LogicalResult hoistLists(LLVM::LLVMFuncOp host) {
   return success();
 }
 
-/// Allocates device memory for this launch.
+/// Allocates device memory that lives until the end of the launch.
 static Value createScratch(OpBuilder &builder, Location loc, Value frame,
                            RuntimeCalls &runtime, int64_t bytes) {
   return runtime.tai_rt_device_scratch(builder, loc, frame,
@@ -105,9 +106,9 @@ private:
   Value frame;
   DeviceLowering &lowering;
   std::vector<std::unique_ptr<Group>> groups;
-  /// The group of each op that runs on the device.
+  /// For each op that runs on the device, its group.
   llvm::DenseMap<Operation *, Group *> groupOf;
-  /// The last group, while further ops can join it.
+  /// The last group if further ops can join it, else null.
   Group *open = nullptr;
 };
 } // namespace
@@ -187,7 +188,8 @@ void SerialOffload::assign(ArrayRef<Operation *> ops) {
                 block, [](Operation &inner) { return &inner; }));
       open = nullptr;
     } else if (isa<vector::FromElementsOp>(op)) {
-      // The host packs the arguments of the caller.
+      // A vector of arguments is built by the host, which packs the arguments
+      // of a launch.
       op->moveBefore(op->getBlock()->getTerminator());
     } else if (runsOnDevice(op)) {
       add(op);
@@ -205,7 +207,7 @@ LogicalResult SerialOffload::emit(Group &group) {
     Operation *ancestor = last->getBlock()->findAncestorOpInBlock(*user);
     return !ancestor || groupOf.lookup(ancestor) != &group;
   };
-  // Results used outside go through memory.
+  // Results of the group that other code uses go through memory.
   SmallVector<Value> handedOn;
   for (Operation *op : group.ops)
     for (Value result : op->getResults())

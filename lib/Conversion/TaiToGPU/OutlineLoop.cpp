@@ -65,7 +65,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
   IndexMath math(builder, loc);
   SmallVector<Value> extents;
   Value count = math.constant(1);
-  // Recreate constants in the function; other values are captured later.
+  // Create constants anew in the function of the loop; other values are
+  // captured later.
   auto inside = [&](Value value) -> Value {
     if (auto constant = getConstantIntValue(value))
       return math.constant(*constant);
@@ -86,8 +87,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
     thread = warp.first;
     threads = warp.step;
   } else if (llvm::any_of(sums, [](const Sum &sum) { return sum.isPartial; })) {
-    // The order of these sums needs a fixed number of virtual threads. A thread
-    // of the launch does the work of one or several virtual threads.
+    // The order of partial sums needs a fixed number of virtual threads. A
+    // thread of the launch does the work of one or several virtual threads.
     auto standIns = scf::ForOp::create(
         builder, loc, thread, math.constant(getSumThreads(loop)), threads);
     builder.setInsertionPointToStart(standIns.getBody());
@@ -190,7 +191,7 @@ public:
       return std::nullopt;
     return std::pair(found->second, distance);
   }
-  /// The operands to pass, as values of the host part.
+  /// The values of the host part that the launch passes as parameters.
   ArrayRef<Value> getOperands() const { return operands; }
 
 private:
@@ -206,8 +207,9 @@ private:
   SmallVector<Value> operands;
   llvm::DenseMap<Value, Value> known;
   llvm::DenseMap<Value, int64_t> numbers;
-  /// `addresses` maps the origin of captured addresses to their distances from
-  /// it; `near` maps an address to a lower one close by and the distance.
+  /// addresses: for each origin, the captured addresses derived from it, by
+  /// their distance. near: for an address, a lower address close by that has a
+  /// parameter, and the distance.
   llvm::MapVector<Value, SmallVector<std::pair<int64_t, Value>>> addresses;
   llvm::DenseMap<Value, std::pair<Value, int64_t>> near;
 };
@@ -488,11 +490,13 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
       builder, loc, name, LLVM::LLVMFunctionType::get(voidType, {}));
   function.setNoUnwind(true);
   markLowered(function);
-  // Threads synchronise in the function, so its calls must not be duplicated.
+  // The threads of a warp synchronise in the function, so its calls must not be
+  // duplicated.
   if (loop.getInWarp())
     function.setConvergent(true);
   Block *entry = function.addEntryBlock(builder);
-  // A placeholder for the device state until its uses are known.
+  // The first argument is a placeholder for the device state until its uses are
+  // known.
   Value state = entry->addArgument(runtime.getPointerType(), loc);
   builder.setInsertionPointToEnd(entry);
   auto ret = LLVM::ReturnOp::create(builder, loc, ValueRange());
@@ -525,7 +529,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   if (failed(lowerLeafOps(function, lowering.device)) ||
       (tile && failed(lowerLeafOps(tile, lowering.device))))
     return failure();
-  // Where threads synchronise inside loops, no thread may exit alone.
+  // Where the threads of a warp synchronise inside loops, no thread may exit
+  // alone, so such loops do not poll.
   if (!loop.getInWarp())
     pollLongLoops(function, iterations.loop, runsAlone(loop),
                   lowering.countless.contains(loop), runtime);
@@ -559,7 +564,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   }
   function.setFunctionType(LLVM::LLVMFunctionType::get(
       voidType, llvm::to_vector(entry->getArgumentTypes())));
-  // With known alignment, neighbouring elements are accessed together.
+  // With the alignment of a parameter, LLVM can combine accesses to
+  // neighbouring elements.
   for (auto [i, operand] : llvm::enumerate(operands))
     if (isa<LLVM::LLVMPointerType>(operand.getType()))
       if (int64_t alignment = getAddressAlignment(operand); alignment > 1)

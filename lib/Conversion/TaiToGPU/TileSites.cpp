@@ -86,7 +86,8 @@ void LoopAccesses::addSite(Operation *op, const Address &address, Value pointer,
 /// digit may follow each index of the loop.
 bool LoopAccesses::addRegularIndex(Site &site, Value index, int64_t size,
                                    ArrayRef<int64_t> digits) {
-  // Digits seen so far; a digit that varies may occur only once.
+  // The digits of the address seen so far; a digit that varies may occur only
+  // once.
   llvm::SmallDenseSet<size_t> seen;
   for (auto [part, digit, factor] : getSummands(index)) {
     int64_t stride = factor * size;
@@ -114,7 +115,8 @@ bool LoopAccesses::addRegularIndex(Site &site, Value index, int64_t size,
         getIndexShift(digit, *variable, lower, upper);
     if (!shift || found.stride != 0)
       return false;
-    // `peeled`, subtracted from the index, is part of the address already.
+    // The constant `peeled` has been subtracted from the index, and is part of
+    // the address.
     int64_t extent = digits[at + 1], peeled = -digits[at + 2];
     found = {stride, extent, shift->offset + peeled, shift->wraps};
     site.address.access.offset -= peeled * stride;

@@ -160,7 +160,8 @@ static LogicalResult replaceArray(BlockArgument array, Value address,
         if (!isa<arith::IndexCastOp>(cast))
           return cast->emitOpError("cannot be lowered on the address of an "
                                    "array");
-        // address -> index -> i64 -> pointer is the address itself.
+        // A chain of casts from the address to index, i64 and back to a pointer
+        // is the address itself.
         for (Operation *back : llvm::make_early_inc_range(cast->getUsers())) {
           if (!isa<LLVM::IntToPtrOp>(back))
             continue;
@@ -205,8 +206,8 @@ LogicalResult tai::replaceArguments(FunctionOpInterface function, Value frame,
     if (auto memref = dyn_cast<MemRefType>(type)) {
       Value address = loadNext(runtime.getPointerType());
       SmallVector<Value> extents;
-      // Callers pass no extents for the dimensions of an element; see
-      // tai-scalarize.
+      // Dimensions that tai-scalarize has added for the elements of an array
+      // are constant, and callers pass no extents for them.
       auto elementRank = function.getArgAttrOfType<IntegerAttr>(
           argument.getArgNumber(), "tai.element_rank");
       int64_t rank =

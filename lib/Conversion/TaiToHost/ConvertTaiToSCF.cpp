@@ -113,7 +113,8 @@ LogicalResult tai::finishModule(ModuleLowering &lowering) {
     if (lowering.functions.contains(function) &&
         failed(lowerHostFunction(function, lowering)))
       return failure();
-  // From here on, the runtime owns the storage of fields.
+  // No op may name a field any more, since the runtime owns the storage of
+  // fields.
   WalkResult accesses = module.walk([](Operation *op) {
     if (!isa_and_present<TaiDialect>(op->getDialect()) ||
         !op->getAttrOfType<FlatSymbolRefAttr>("field"))

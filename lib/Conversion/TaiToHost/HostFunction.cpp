@@ -130,7 +130,8 @@ static void lowerCheckClose(CheckCloseOp op, Value frame,
       builder, loc, constant(1), math::AbsFOp::create(builder, loc, expected));
   Value allowed =
       arith::MulFOp::create(builder, loc, constant(tolerance), scale);
-  // "Unordered or greater": a NaN on either side is a failure.
+  // The predicate is unordered or greater, so that a NaN on either side is a
+  // failure.
   Value wrong = arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::UGT,
                                       difference, allowed);
   auto branch = scf::IfOp::create(builder, loc, wrong);
@@ -186,15 +187,16 @@ static LogicalResult lowerCheckGradient(CheckGradientOp op, StringRef name,
 LogicalResult tai::lowerHostFunction(func::FuncOp function,
                                      ModuleLowering &lowering) {
   if (function.isPrivate()) {
-    // A private function is a helper, which was inlined into its callers.
+    // A private function is a helper, which must have been inlined into its
+    // callers.
     auto uses = SymbolTable::getSymbolUses(function, lowering.module);
     if (uses && uses->empty()) {
       function.erase();
       return success();
     }
     if (uses) {
-      // Report the recursive call, if there is one, rather than a call from
-      // outside.
+      // Among the remaining calls, report a recursive one, if any, rather than
+      // a call from outside.
       Operation *user = uses->begin()->getUser();
       for (SymbolTable::SymbolUse use : *uses)
         if (function->isProperAncestor(use.getUser()))
@@ -238,8 +240,8 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
   replaceReturn(ret, loc, frame, builder, runtime);
 
   upgradeFormerChecks(host);
-  // Lower these first, while the program is one function: addresses and locals
-  // are then pointers, which the functions split off below can capture.
+  // Lower leaf ops first, while the program is one function: addresses and
+  // locals are then pointers, which the functions split off below can capture.
   if (failed(lowerLeafOps(host, lowering)))
     return failure();
   SmallVector<Operation *> ops;

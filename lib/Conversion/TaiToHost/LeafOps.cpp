@@ -270,7 +270,8 @@ struct LowerTreeBase final : LeafPattern<TreeBaseOp> {
   }
 };
 
-/// An op on cells calls a function of the runtime: (frame, tree, node, ...).
+/// Lowers an op on cells to a call of a function of the runtime, whose first
+/// arguments are frame, tree and node.
 template <typename Op> struct LowerCells final : LeafPattern<Op> {
   using LeafPattern<Op>::LeafPattern;
 

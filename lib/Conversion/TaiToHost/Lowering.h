@@ -39,9 +39,9 @@ struct ModuleLowering {
 /// slots at the call, and loaded on entry. Constants are copied instead.
 class Closure {
 public:
-  /// `frame` is the frame in the function around `call`, the point before
-  /// which the closure is built; `inner` has the frame and the closure as its
-  /// first two arguments.
+  /// `call`: the op of the outer function before which the closure is built.
+  /// `frame`: the frame in the outer function. `inner`: the function whose
+  /// first two arguments are the frame and the closure.
   Closure(LLVM::LLVMFuncOp inner, Value frame, Operation *call);
 
   /// The value in the inner function for a value in the outer function.
@@ -67,14 +67,14 @@ LLVM::LLVMFuncOp createFunction(ModuleOp module, Location loc, StringRef name,
                                 Type result, ArrayRef<Type> arguments,
                                 bool isInternal);
 
-/// Computes the address to use for an array argument, from the address in its
-/// slot and the extents.
+/// A callback that computes the address of an array argument from the address
+/// and the extents in its slots.
 using ArrayAddress =
     llvm::function_ref<Value(OpBuilder &builder, BlockArgument array,
                              Value address, ValueRange extents)>;
 
-/// Replaces operands of ops in the region for which `isOutside` holds by the
-/// result of `get`.
+/// Replaces the values used in the region for which `isOutside` holds by the
+/// results of `get`.
 LogicalResult replaceOutside(Region &region,
                              function_ref<bool(Value)> isOutside,
                              function_ref<FailureOr<Value>(Value)> get);
@@ -90,7 +90,7 @@ LogicalResult replaceArguments(FunctionOpInterface function, Value frame,
 void replaceReturn(Operation *ret, Location loc, Value frame,
                    OpBuilder &builder, RuntimeCalls &runtime);
 
-/// Lower one op, or all ops of a kind in a function.
+/// Each function lowers one op, or all ops of a kind in a function.
 LogicalResult lowerKernel(KernelOp kernel, ModuleLowering &lowering);
 LogicalResult lowerHostFunction(func::FuncOp function,
                                 ModuleLowering &lowering);
@@ -109,14 +109,14 @@ LogicalResult lowerSerially(ParallelForOp loop, FieldTable &fields);
 void lowerPreconditions(LLVM::LLVMFuncOp function, ModuleLowering &lowering);
 LogicalResult lowerStack(StackCreateOp op, Value frame, RuntimeCalls &runtime);
 
-/// Gives each tai.random below `root` its iteration number in `loop`, and a
-/// counter to those that may draw more than once in an iteration; `loop` is
-/// null for the serial code of a kernel.
+/// Numbers the random draws below `root`: each gets its iteration in `loop`
+/// (null for the serial code of a kernel), and a counter if it may draw more
+/// than once in an iteration.
 void numberDraws(Operation *root, ParallelForOp loop);
 /// Whether the cast is the placeholder of a random number that is numbered.
 bool isDraw(UnrealizedConversionCastOp op);
-/// The random number: for an integer, all bits are random; a float is in [0,
-/// 1).
+/// Emits the random number of a draw: an integer of random bits, or a float in
+/// [0, 1).
 Value emitDraw(UnrealizedConversionCastOp op, Value frame, OpBuilder &builder,
                RuntimeCalls &runtime);
 

@@ -28,11 +28,11 @@ using namespace mlir::tai;
 /// even distribution over the cores of a large machine.
 constexpr int64_t kManyRows = 64;
 
-/// Rows shorter than this do not end a block of a sum.
+/// The minimum length of a row that ends a block of a sum.
 constexpr int64_t kShortRow = 32;
 
 namespace {
-/// The box of a loop. The values are defined at the loop.
+/// The bounds and extents of a loop's box, as values defined before the loop.
 struct Box {
   SmallVector<Value> lower, upper, extent;
 
@@ -170,10 +170,12 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
       endBlock(inner);
     return;
   }
-  // Each row is a block, however long, unless the block's terms are stored.
+  // A row, however long, is one block of the sum, unless the terms of a block
+  // are stored.
   bool cutsRows = inBlocks && accumulators.storesTerms();
 
-  // One loop for each dimension: the partition's range is over the first.
+  // If partitions divide only the outer dimensions, emit a loop for each
+  // dimension: the first loop runs over the range of the partition.
   if (loop.getOuterDims()) {
     SmallVector<Value> ivs;
     scf::ForOp inner;
@@ -228,7 +230,8 @@ static void emitChunks(OpBuilder &builder, ParallelForOp loop, const Box &box,
   Value chunk = chunks.getInductionVar();
   accumulators.emitChunkStart(builder, loc);
   Value first = math.mul(chunk, length);
-  // Add to `first`, which is in range, so that no length can overflow.
+  // Add the remaining number to `first`, which is in range, so that no sum can
+  // overflow.
   Value last = math.add(first, math.min(length, math.sub(count, first)));
   OpBuilder atEnd(chunks.getBody()->getTerminator());
 
@@ -254,7 +257,7 @@ static void emitChunks(OpBuilder &builder, ParallelForOp loop, const Box &box,
   Value piece = math.mul(pieces.getInductionVar(), SumOrder::kLanes);
   from = math.max(from, piece);
   to = math.min(to, math.add(piece, math.constant(SumOrder::kLanes)));
-  // The index of an iteration minus its linear number.
+  // The difference between the index of an iteration and its linear number.
   Value shift = math.sub(lower, start);
   Value firstLane = math.add(piece, shift);
   auto inner =
@@ -301,7 +304,7 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
       loop, (reduces && isFixed) || loop->hasAttr(kIndependentAttrName));
   if (FloatAttr fixed = loop.getFixedCostAttr())
     cost = fixed.getValueAsDouble();
-  // Iterations in one unit of the partition.
+  // The number of iterations in one unit of the partition.
   double perStep = byRows ? double(*rowLength) : 1.0;
   size_t counted = byRows ? box.rank() - 1 : box.rank();
   if (IntegerAttr outer = loop.getOuterDimsAttr()) {

@@ -24,8 +24,9 @@ using namespace mlir::tai;
 // Positions
 //===----------------------------------------------------------------------===//
 
-/// On the placeholder of a draw, (iteration, sequence[, seed, launch]) -> bits:
-/// the number of its stream. Named operands would need an op of their own.
+/// Attribute of the op that stands for a draw until it is lowered: the number
+/// of its stream. The op is a cast of (iteration, sequence[, seed, launch]) to
+/// bits, since named operands would need an op of their own.
 static constexpr llvm::StringLiteral kStreamAttrName = "stream";
 
 bool tai::isDraw(UnrealizedConversionCastOp op) {
@@ -90,7 +91,8 @@ void tai::numberDraws(Operation *root, ParallelForOp loop) {
                                          constant(isDouble ? 2 : 1));
       LocalStoreOp::create(builder, draw.getLoc(), next, counter);
     }
-    // The numbers are operands, which closures capture like any other operand.
+    // Iteration and sequence are operands of the cast, which closures capture
+    // like any other operand.
     auto carrier = UnrealizedConversionCastOp::create(
         builder, draw.getLoc(), draw.getValue().getType(),
         ValueRange{iteration, sequence});
@@ -121,7 +123,7 @@ public:
     return {low(key), high(key)};
   }
 
-  /// The four numbers of a block.
+  /// The four random numbers of a block.
   std::array<Value, 4> getBlock(Value iteration, Value stream, Value block,
                                 std::array<Value, 2> key) {
     std::array<Value, 4> bits = {low(iteration), high(iteration), stream,
@@ -167,8 +169,8 @@ private:
 };
 } // namespace
 
-/// The number at `sequence` and, if `count` is two, the next number: pairs are
-/// drawn only at even positions.
+/// Emits the random number at `sequence` and, if `count` is two, the next one:
+/// pairs are drawn only at even positions.
 static std::array<Value, 2> emitBits(UnrealizedConversionCastOp op,
                                      unsigned count, Value frame,
                                      OpBuilder &builder,

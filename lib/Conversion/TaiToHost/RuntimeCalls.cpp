@@ -179,7 +179,7 @@ MessageValues tai::emitMessageValues(RuntimeCalls &runtime, OpBuilder &builder,
     emitSlotStore(builder, loc, value, slot);
     kinds.push_back(kind);
   }
-  // One kind for each value, however many components it has.
+  // The runtime takes one kind for each value, however many components it has.
   SmallVector<int32_t> kindOfValue;
   size_t first = 0;
   for (int32_t shape : shapes) {

@@ -73,7 +73,7 @@ public:
   Value string(OpBuilder &builder, Location loc, StringRef text);
   Value array(OpBuilder &builder, Location loc, ArrayRef<int32_t> numbers);
 
-  /// Member of the frame at `offset` bytes.
+  /// Loads the member of the frame that is `offset` bytes from its start.
   Value frameMember(OpBuilder &builder, Location loc, Value frame,
                     size_t offset, Type type);
 
@@ -111,7 +111,7 @@ private:
 /// stack.
 Value emitStackSlots(OpBuilder &builder, Location loc, int64_t count);
 
-/// The address of slot `index`.
+/// Emits the address of slot `index` of `slots`.
 Value emitSlot(OpBuilder &builder, Location loc, Value slots, int64_t index);
 
 /// Stores a scalar at the start of a slot in its own type, or loads a scalar.
@@ -121,7 +121,7 @@ Value emitSlotLoad(OpBuilder &builder, Location loc, Type type, Value slot);
 /// The number of slots that a value of this type occupies (see TaiFrame).
 int64_t getNumSlots(Type type);
 
-/// The values of a message, in slots, with their kinds and shapes.
+/// The values that a message of the runtime shows: slots, kinds and shapes.
 struct MessageValues {
   Value count, kinds, shapes, slots;
 };

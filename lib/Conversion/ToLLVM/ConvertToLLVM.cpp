@@ -269,7 +269,7 @@ void tai::populateSharedToLLVM(const LLVMTypeConverter &converter,
   populateMathToLLVMConversionPatterns(converter, patterns,
                                        /*approximateLog1p=*/false);
   populateExpansionFixes(patterns);
-  // These patterns take precedence over those of upstream.
+  // Patterns for casts and switches that take precedence over upstream's.
   patterns.add<LowerIndexSwitch>(patterns.getContext(), /*benefit=*/2);
   patterns.add<CastFloat<arith::FPToSIOp, LLVM::FPToSIOp>,
                CastFloat<arith::FPToUIOp, LLVM::FPToUIOp>>(
@@ -329,7 +329,7 @@ static LogicalResult
 checkLowered(ModuleOp module,
              llvm::function_ref<LogicalResult(Operation *)> check) {
   for (Operation *root : collectWithCallees(module)) {
-    // In pre-order: an op is reported before the ops inside it.
+    // Visit in pre-order, so that an op is reported before the ops inside it.
     WalkResult result = root->walk<WalkOrder::PreOrder>(
         [&](Operation *op) { return WalkResult(check(op)); });
     if (result.wasInterrupted())
@@ -392,7 +392,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
           return isa<LLVM::LLVMFuncOp>(op) && Modes::of(op).isAccurate();
         }))
       populateAccurateMath(patterns, /*benefit=*/1);
-    // Functions without an intrinsic of LLVM are called in libm.
+    // Functions for which LLVM has no intrinsic become calls of libm.
     populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     populateFuncToLLVMConversionPatterns(converter, patterns);
 
@@ -467,7 +467,8 @@ Type findUnknownFloat(Operation *op) {
 }
 
 LogicalResult checkLowerable(Operation *op) {
-  // Device code, which was generated from kernels.
+  // The remedies are for ops of the program, not for device code, which was
+  // generated from kernels.
   bool isOnDevice =
       isa<gpu::GPUModuleOp>(op) || op->getParentOfType<gpu::GPUModuleOp>();
   StringRef remedy = findRemedy(op);
@@ -528,7 +529,7 @@ struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
         succeeded(checkAll(checkOthers)) && succeeded(checkAll(check));
     if (!isLowered)
       return signalPassFailure();
-    // This is the last pass: no later pass needs the mark.
+    // This is the last pass: no later pass needs the mark of lowered functions.
     for (Operation *op : collectWithCallees(getOperation()))
       op->walk([](LLVM::LLVMFuncOp function) { unmarkLowered(function); });
     markAllAnalysesPreserved();

@@ -26,7 +26,7 @@ using namespace mlir::tai;
 constexpr int32_t kFlushBits = 0x8040;
 constexpr bool kCanFlush = true;
 #elif defined(__aarch64__)
-// The bit of FPCR for operands and results.
+// The bit of the control word FPCR that flushes operands and results.
 constexpr int64_t kFlushBits = 1 << 24;
 constexpr bool kCanFlush = true;
 #else
@@ -93,7 +93,8 @@ private:
 /// the frame, which must remain the first parameter.
 static void keepArguments(LLVM::LLVMFuncOp function) {
   OpBuilder builder = OpBuilder::atBlockBegin(&function.getBody().front());
-  // One asm for each argument: there may be more arguments than registers.
+  // Use one inline asm for each argument: there may be more arguments than
+  // registers.
   for (Value argument : function.getBody().getArguments())
     if (isa<LLVM::LLVMPointerType, IntegerType>(argument.getType()))
       LLVM::InlineAsmOp::create(
@@ -180,7 +181,7 @@ static void wrap(LLVM::LLVMFuncOp function) {
 
 LogicalResult tai::flushDenormals(Operation *root) {
   SmallVector<LLVM::LLVMFuncOp> functions;
-  // Device functions in the module are converted separately.
+  // Skip device functions in the module, which are converted separately.
   for (auto function : root->getRegion(0).getOps<LLVM::LLVMFuncOp>())
     if (!function.isExternal() && Modes::of(function).flushes())
       functions.push_back(function);

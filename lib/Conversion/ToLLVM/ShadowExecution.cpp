@@ -72,11 +72,12 @@ private:
   /// An operation whose result is compared with its shadow.
   struct Site {
     Operation *op;
-    /// A boolean, or one for each lane: whether there may be an error to
-    /// report.
+    /// Whether there may be an error to report: a boolean, or one for each
+    /// lane.
     Value fires;
     Value a, b;
-    /// The result, or null for comparisons and conversions.
+    /// The result that is compared with its shadow; null for comparisons and
+    /// conversions.
     Value result;
   };
 
@@ -142,7 +143,7 @@ private:
   unsigned mostPrecision;
   Value table;
   DenseMap<Value, Value> shadows, off, tainted;
-  /// For loaded values: the shadow minus the value.
+  /// For each loaded value: its shadow minus the value.
   DenseMap<Value, Value> parts;
   SmallVector<Site> sites;
 };
@@ -189,7 +190,7 @@ Value Shadows::emitIsOff(Value value) {
   Value shadow = getShadow(value);
   Type type = shadow.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(value.getType()));
-  // A loaded value has its error in `parts`.
+  // The error of a loaded value is in `parts`; compute any other error.
   Value error = parts.lookup(value);
   error = LLVM::FAbsOp::create(b, error ? error : getError(value));
   Value most = LLVM::FMulAddOp::create(
@@ -342,7 +343,8 @@ static std::optional<int32_t> getUpdate(LLVM::AtomicBinOp kind) {
   }
 }
 
-/// Lets the runtime update the float and its shadow, and compares the sum here.
+/// Replaces an atomic update by a call of the runtime, which updates the float
+/// and its shadow in one step; compares the new value here.
 Value Shadows::makeAtomic(LLVM::AtomicRMWOp op) {
   Value value = op.getVal();
   Type type = value.getType();
@@ -506,7 +508,8 @@ void Shadows::addFlip(Operation *op) {
     other = op->getOperand(1);
     exact = b.clone(*op, mapping)->getResult(0);
   } else {
-    // Freeze: the shadow may be out of the integer's range.
+    // Freeze the conversion of the shadow, which may be out of the integer's
+    // range.
     exact = b.clone(*op, mapping)->getResult(0);
     exact = LLVM::FreezeOp::create(b, exact);
   }
@@ -585,7 +588,8 @@ void Shadows::report(const Site &site) {
     auto pick = [&](Value value) -> Value {
       return LLVM::ExtractElementOp::create(b, value, integer(32, lane));
     };
-    // Lanes whose results do not differ report nothing.
+    // Branch around the report for each lane, since only some lanes may have an
+    // error.
     Block *here = b.getInsertionBlock();
     Block *rest = here->splitBlock(b.getInsertionPoint());
     Block *told = b.createBlock(rest);
@@ -645,7 +649,7 @@ void Shadows::run() {
   base.setInvariant(true);
   table = base;
 
-  // The positions of the float arguments that each block had.
+  // For each block, the positions of its arguments that are floats.
   DenseMap<Block *, SmallVector<unsigned>> passed;
   for (Block *block : order) {
     if (block == entry)
@@ -660,7 +664,8 @@ void Shadows::run() {
     }
   }
   for (SmallVector<Operation *> &ops : operations) {
-    // A value that was tested in one block may be untested in another.
+    // Forget tested values at each block: a value that was tested in one block
+    // may be untested in another.
     tainted.clear();
     for (Operation *op : ops) {
       if (op->hasTrait<OpTrait::IsTerminator>())
@@ -670,7 +675,7 @@ void Shadows::run() {
       flush(next);
     }
   }
-  // All shadows have been computed: pass them to the successors.
+  // All shadows have been computed: pass them to successor blocks.
   for (SmallVector<Operation *> &ops : operations) {
     auto branch = dyn_cast<BranchOpInterface>(ops.back());
     if (!branch)

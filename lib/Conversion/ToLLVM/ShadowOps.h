@@ -19,7 +19,7 @@ namespace mlir::tai {
 /// The name of an operation for users, as in a report.
 std::string nameOperation(Operation *op);
 
-/// The libm function that corresponds to `name` for the wider type, or "".
+/// The libm function that computes `name` for the wider type of shadows, or "".
 std::string nameWiderCall(StringRef name, Type type, Type shadow);
 
 /// True for an operation whose only error is rounding: well conditioned.

@@ -19,7 +19,9 @@ static constexpr uint32_t kSilentToTold = 1000;
 static constexpr size_t kMostCounts = 2048;
 static constexpr int64_t kMostLanes = 64;
 
-/// Returns the address of "operation\nkernel\nplace".
+/// Returns the address of the description of `op`: "operation
+/// kernel
+/// place".
 Value ShadowReports::describe(Operation *op) {
   // Functions of loops are named like k.loop0.
   StringRef kernel = function.getName();
@@ -28,7 +30,7 @@ Value ShadowReports::describe(Operation *op) {
   std::string text = nameOperation(op) + "\n" + kernel.str() + "\n" +
                      describePlace(op->getLoc());
   text.push_back('\0');
-  // Room for the runtime's data: see TaiShadowSite.
+  // Reserve room in front of the text for the runtime's data (TaiShadowSite).
   text.insert(0, sizeof(TaiShadowSite), '\0');
   LLVM::GlobalOp &global = texts[text];
   if (!global) {
@@ -260,7 +262,8 @@ void ShadowReports::finish() {
 void ShadowReports::restrictEffects(ModuleOp module) {
   MLIRContext *context = module.getContext();
   auto none = LLVM::ModRefInfo::NoModRef, both = LLVM::ModRefInfo::ModRef;
-  // Memory reached through the frame belongs to the runtime.
+  // These functions access memory of their arguments and memory of the runtime,
+  // such as all memory reached through the frame.
   auto effects = LLVM::MemoryEffectsAttr::get(
       context, {none, both, both, none, none, none});
   for (StringRef name : {"tai_rt_shadow_site", "tai_rt_shadow_lanes",

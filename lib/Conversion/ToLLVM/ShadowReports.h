@@ -23,7 +23,7 @@ namespace mlir::tai {
 
 class ShadowReports {
 public:
-  /// The descriptions of sites in a module, keyed by their text.
+  /// Global constants with the descriptions of all sites in a module, by text.
   using Texts = llvm::StringMap<LLVM::GlobalOp>;
 
   ShadowReports(ImplicitLocOpBuilder &b, LLVM::LLVMFuncOp function,
@@ -58,7 +58,8 @@ private:
     return LLVM::ConstantOp::create(b, b.getIntegerType(bits), value);
   }
   Value describe(Operation *op);
-  /// The number of a site's count, or nothing if there are too many sites.
+  /// The number of the counter of a site in the stack frame; nullopt if there
+  /// are too many sites.
   std::optional<int32_t> getCount(Value site);
   Value emitMember(int32_t count, size_t offset);
   void emitAdd(int32_t count, size_t offset, Value more);

@@ -42,8 +42,8 @@ public:
       : loop(loop), builder(loop),
         type(VectorType::get({kLanes}, builder.getF32Type())) {}
 
-  /// Whether each operation has a vector form, and no iteration depends on
-  /// another.
+  /// Whether the loop can be vectorised: each operation has a vector form, and
+  /// no iteration depends on another.
   bool check();
   void vectorize();
 
@@ -66,11 +66,12 @@ private:
   VectorType type;
   ArrayRef<LLVM::AccessGroupAttr> groups;
   bool hasVectors = false;
-  /// By how much an integer or an address (in bytes) grows with each iteration.
-  /// Nothing if this varies, and for floats.
+  /// The increment of an integer, or of an address in bytes, from one iteration
+  /// to the next; nullopt if it varies, and for floats.
   DenseMap<Value, std::optional<int64_t>> strides;
   IndexBuilder expressions;
-  /// The values in the first lane, and the vectors of all lanes.
+  /// scalars: the values in the first lane. vectors: the vectors of the values
+  /// in all lanes.
   IRMapping scalars;
   DenseMap<Value, Value> vectors;
 };
@@ -112,7 +113,7 @@ std::optional<int64_t> Lanes::computeStride(Operation *op) {
   if (llvm::all_of(op->getOperands(),
                    [&](Value operand) { return getStride(operand) == 0; }))
     return 0;
-  // An address with a base and one index.
+  // The stride of an address with a base and one index.
   if (auto address = dyn_cast<LLVM::GEPOp>(op)) {
     if (!address.getElemType().isF32() || op->getNumOperands() != 2)
       return std::nullopt;
@@ -126,7 +127,8 @@ std::optional<int64_t> Lanes::computeStride(Operation *op) {
   }
   if (!op->getResult(0).getType().isIntOrIndex())
     return std::nullopt;
-  // Assume no overflow in 32 bits: such indices are out of range.
+  // Assume that indices do not overflow in 32 bits; if they did, they would be
+  // out of range.
   IndexExpr expr = expressions.get(op->getResult(0));
   Value iv = loop.getInductionVar();
   bool isLinear = llvm::all_of(expr.terms, [&](const auto &term) {
@@ -256,7 +258,7 @@ void Lanes::emit(Operation &op) {
       if (from.empty())
         continue;
       OpBuilder::InsertionGuard guard(builder);
-      // The two arms do not share splats.
+      // The arms do not share vectors that are made in one of them.
       DenseMap<Value, Value> before = vectors;
       if (!to.front().empty())
         to.front().back().erase();

@@ -26,7 +26,7 @@ namespace {
 /// Builds arithmetic on f64 or vectors of f64, which may be contracted.
 class F64Builder {
 public:
-  /// `type` is f32 or a vector of f32.
+  /// `type`: the type of the operation to expand, f32 or a vector of f32.
   F64Builder(OpBuilder &builder, Location loc, Type type)
       : builder(builder), loc(loc), narrowType(type),
         wideType(withElement(builder.getF64Type())),
@@ -88,7 +88,8 @@ public:
     return arith::SelectOp::create(builder, loc, holds, yes, no);
   }
 
-  /// c[0] + c[1] x + ... + c[7] x^7, with few dependent steps.
+  /// Emits c[0] + c[1] x + ... + c[7] x^7, with a short chain of dependent
+  /// operations.
   Value polynomial(Value x, const std::array<double, 8> &c) {
     Value square = mul(x, x);
     Value fourth = mul(square, square);
@@ -115,10 +116,10 @@ public:
 private:
   static constexpr double kLn2 = 0x1.62e42fefa39efp-1;
 
-  /// The integer k nearest to x, and 2^k.
+  /// Emits the integer k nearest to x, and 2^k.
   std::pair<Value, Value> roundToPower(Value x) {
-    // Added to a number below 2^51, this rounds it to an integer, which is then
-    // in the low bits.
+    // If this constant is added to a number below 2^51, the sum is rounded to
+    // an integer, which is in its low bits.
     Value shifter = constant(0x1.8p52);
     Value shifted = add(x, shifter);
     Value scale = fromBits(
@@ -174,7 +175,7 @@ Value expandExp2(F64Builder &inF64, Value x) {
 
 /// Computes tanh x as t / (t + 2) with t = e^2x - 1, without cancellation.
 Value expandTanh(F64Builder &inF64, Value x) {
-  // From 9.1 on the result is 1.
+  // tanh(x) rounds to 1 in f32 from x = 9.1 on: limit 2 x.
   Value most = inF64.constant(20);
   Value twice = inF64.extend(x);
   twice = inF64.add(twice, twice);
@@ -199,7 +200,7 @@ Value expandLog(F64Builder &inF64, Value narrow, double ofTwo, double scale) {
       inF64.andBits(above, (int64_t(1) << 52) - 1), inF64.bits(rootHalf)));
   Value one = inF64.constant(1);
   Value s = inF64.div(inF64.sub(m, one), inF64.add(m, one));
-  // s^2 < 0.03: the next term is below 2^-40.
+  // As s^2 < 0.03, the first omitted term of the series is below 2^-40.
   Value series = inF64.polynomial(
       inF64.mul(s, s),
       {2.0, 2.0 / 3, 2.0 / 5, 2.0 / 7, 2.0 / 9, 2.0 / 11, 2.0 / 13, 2.0 / 15});
@@ -237,7 +238,8 @@ struct ExpandWide : OpRewritePattern<Op> {
     Location loc = op.getLoc();
     F64Builder inF64(rewriter, loc, type);
     Value x = op.getOperand();
-    // Preserves the sign of zero.
+    // Compute odd functions of |x|, and copy the sign of x, which keeps the
+    // sign of zero.
     if constexpr (isOdd)
       x = math::AbsFOp::create(rewriter, loc, x);
     Value result = expand(inF64, x);

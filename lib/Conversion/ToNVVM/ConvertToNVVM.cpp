@@ -107,7 +107,7 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     LLVMTypeConverter converter(context, options);
     RewritePatternSet patterns(context);
     populateSharedToLLVM(converter, patterns);
-    // These patterns take precedence over calls of libdevice.
+    // Patterns of higher accuracy take precedence over calls of libdevice.
     if (accurate)
       populateAccurateMath(patterns, /*benefit=*/20, /*onDevice=*/true);
     if (emulated) {
@@ -118,10 +118,11 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
       populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     } else {
       configureGpuToNVVMTypeConverter(converter);
-      // These patterns take precedence over calls of libdevice.
+      // Patterns for approximate functions take precedence over calls of
+      // libdevice.
       populateFastDeviceMath(patterns, /*benefit=*/15);
-      // These patterns precede LLVM's intrinsics, which the backend cannot
-      // select.
+      // Calls of libdevice take precedence over LLVM's intrinsics, which the
+      // backend cannot select.
       populateGpuToNVVMConversionPatterns(converter, patterns, /*benefit=*/10);
     }
 

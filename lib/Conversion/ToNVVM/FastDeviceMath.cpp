@@ -80,7 +80,7 @@ struct ReduceFirst : OpRewritePattern<Op> {
                                         periods.getType(), periods);
     for (float part : {6.28125f, 1.9350051879882812e-3f, 3.0199160e-7f})
       x = exact.fma(periods, exact.constant(-part), x);
-    // For this flag, the backend selects the approximate instruction.
+    // The flag afn makes the backend select the approximate instruction.
     rewriter.replaceOp(op, Intrinsic::create(rewriter, op.getLoc(), x,
                                              LLVM::FastmathFlags::afn));
     return success();

@@ -79,7 +79,7 @@ void tai::flushOnDevice(LLVM::LLVMFuncOp function) {
       if (!isDouble(result) && !isLibrarys)
         continue;
       Value flushed = flush(at, op->getLoc(), result);
-      // The ops of the flush itself, up to `flushed`, still read the result.
+      // Replace all uses but the ones in the ops that compute `flushed` itself.
       result.replaceUsesWithIf(flushed, [&](OpOperand &use) {
         Operation *user = use.getOwner();
         return user->getBlock() != op->getBlock() ||

@@ -36,7 +36,8 @@ class ThreadMemory {
 public:
   explicit ThreadMemory(LLVM::LLVMFuncOp function) : function(function) {}
 
-  /// The address of `bytes` bytes, or null if the function would need too many.
+  /// Reserves `bytes` bytes of the thread's local memory and returns their
+  /// address; null if the function would need too many.
   Value reserve(int64_t bytes) {
     if (bytes > free)
       return {};

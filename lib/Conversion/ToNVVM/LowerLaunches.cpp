@@ -62,7 +62,8 @@ struct LowerLaunch final : OpRewritePattern<gpu::LaunchFuncOp> {
       slots = emitStackSlots(rewriter, loc, operands.size());
     for (auto [i, operand] : llvm::enumerate(operands))
       emitSlotStore(rewriter, loc, operand, emitSlot(rewriter, loc, slots, i));
-    // Zero blocks: only the device knows how many iterations there are.
+    // A launch with zero blocks has a number of iterations that only the device
+    // knows.
     Value blocks = launch.getGridSizeX(), threads = launch.getBlockSizeX();
     Value iterations = getConstantIntValue(blocks) == 0
                            ? math.constant(-1)

@@ -23,8 +23,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The sums of one group of additions, of one or two integers each, and their
-/// scales.
+/// The integer sums (one or two integers each) of one group of additions, and
+/// the scale of each sum.
 struct Accumulators : ScatterBuffer {
   using ScatterBuffer::ScatterBuffer;
   Value scales;
@@ -101,8 +101,8 @@ static void removeEffects(ParallelForOp loop) {
 /// Removes ops whose results are unused.
 static void removeDeadOps(ParallelForOp loop) {
   SmallVector<Operation *> ops;
-  // In reverse order, users come before their operands, and operations inside
-  // an op before the op itself, whose removal would free them.
+  // In reverse order, an op comes before the ops that define its operands, and
+  // ops inside an op before the op itself, whose removal would free them.
   loop.getBody().walk<WalkOrder::PreOrder>(
       [&](Operation *op) { ops.push_back(op); });
   for (Operation *op : llvm::reverse(ops))
@@ -137,7 +137,8 @@ void Splitter::emitSum(OpBuilder &builder, const Accumulators &from,
   emitRoundedAddition(builder, loc, from.field->scalarType, sum, element);
 }
 
-/// `operand` is the term, or the address of the element.
+/// Emits a call of the device library for `pass`. `operand`: the term, or the
+/// address of the element.
 Value Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
                          const Accumulators &to, Value number, Value operand) {
   IndexMath math(builder, loc);
@@ -213,8 +214,8 @@ bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups,
     for (AtomicOp atomic : group.atomics)
       updates += estimateRuns(atomic, loop);
   }
-  // A visit of all elements in order costs less per element than an indexed
-  // one.
+  // The factor by which visiting an element in order is cheaper than visiting
+  // it by its index.
   constexpr double isCheaper = 8, guessedIterations = 1 << 17;
   std::optional<int64_t> iterations = getNumIterations(loop);
   return elements <= isCheaper * updates *

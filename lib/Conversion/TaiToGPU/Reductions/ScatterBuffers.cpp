@@ -74,7 +74,7 @@ void tai::emitElementLoop(
     function_ref<void(OpBuilder &, Value number, Value element)> emit) {
   const FieldInfo &field = *buffer.field;
   IndexMath around(outside, loc);
-  // Shared terms are computed once.
+  // Compute terms of addresses that all elements share once, before the loop.
   SmallVector<Value> zeroBased(field.layout.shape.size());
   for (auto [i, fixed] : llvm::enumerate(buffer.fixed))
     if (fixed)

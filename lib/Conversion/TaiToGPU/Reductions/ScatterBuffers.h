@@ -19,24 +19,26 @@
 
 namespace mlir::tai {
 
-/// The sums of one group of additions.
+/// The buffer with the sums of one group of additions to a field.
 struct ScatterBuffer {
   explicit ScatterBuffer(const AccumulationGroup &group)
       : field(group.field), fixed(group.fixed),
         count(getNumAccumulators(group)) {}
 
   const FieldInfo *field;
-  /// For each dimension, the index that all additions share, or null.
+  /// For each dimension of the field, the index that all additions share, or
+  /// null.
   SmallVector<Value> fixed;
-  /// The number of elements that the other dimensions span, times components.
+  /// The number of sums: elements along dimensions without a shared index,
+  /// times components.
   int64_t count;
   Value fieldBase, sums;
 };
 
 bool isInBuffer(Operation *op, ReductionForm form);
 
-/// Calls `split` for each loop of a host function with additions of this form.
-/// Fails at an addition that a GPU does not support.
+/// Calls `split` for each loop of a host function with additions of the form
+/// `form`. Fails at an addition that a GPU does not support.
 LogicalResult splitBufferedLoops(
     LLVM::LLVMFuncOp host, ReductionForm form,
     function_ref<LogicalResult(ParallelForOp, ArrayRef<AtomicOp>)> split);

@@ -67,7 +67,8 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   Value own = math.rem(group, SumOrder::kGroups);
   Value lanes =
       emitPointer(b, loc, storage, partials, math.mul(chunk, SumOrder::kLanes));
-  // The strides and extents of chunks and lanes, for LoopAccesses.
+  // LoopAccesses reads the strides and extents of chunks and lanes from this
+  // attribute.
   int64_t bytes = llvm::divideCeil(kept.getIntOrFloatBitWidth(), 8);
   AliasScopes inChunks;
   inChunks.digits =

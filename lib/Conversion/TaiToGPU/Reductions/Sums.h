@@ -20,7 +20,8 @@ struct Sum {
   Type type;
   /// The accumulator type of a thread: f64 for sums of f32.
   Type kept;
-  /// The address of the target, or of the first partial sum.
+  /// The address to which the sum is added or, for a partial sum, of the first
+  /// partial sum.
   Value target;
   bool isPartial = false;
   /// Whether blocks add to an f64, which a later loop adds to the f32 element.
@@ -33,7 +34,8 @@ struct Sum {
 /// Depends on the loop alone, not on the device.
 int64_t getSumThreads(ParallelForOp loop);
 
-/// Collects the sums that prepareSums has numbered, and removes the marks.
+/// Collects the sums that prepareSums has numbered in the loop, and removes the
+/// marks.
 SmallVector<Sum> collectSums(ParallelForOp loop, FieldTable &fields);
 
 /// Create the thread's accumulator, redirect the updates to it, and add it to

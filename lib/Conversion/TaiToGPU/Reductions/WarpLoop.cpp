@@ -38,7 +38,8 @@ static bool isPrivate(Value pointer) {
   return pointer.getDefiningOp<LLVM::AllocaOp>() != nullptr;
 }
 
-/// True for an addition whose place in the order matters.
+/// True for an addition to memory that other iterations may add to, so that its
+/// place in the order matters.
 static bool isAddition(Operation *op) {
   auto update = dyn_cast<LLVM::AtomicRMWOp>(op);
   if (!update || isDoneByLoop(op) || !update.use_empty() ||
@@ -59,7 +60,7 @@ static bool containsAddition(Operation *op) {
       .wasInterrupted();
 }
 
-/// False for operations that may end the thread, and for unknown operations.
+/// True for an operation of a known kind, which cannot end the thread.
 static bool isKnown(Operation *op) {
   auto canBeYielded = [](Type type) {
     return type.isIntOrIndexOrFloat() || isa<LLVM::LLVMPointerType>(type);
@@ -168,7 +169,7 @@ private:
 };
 } // namespace
 
-/// A null pointer or a zero.
+/// Emits a null pointer, or a zero of another type.
 static Value emitZero(OpBuilder &builder, Location loc, Type type) {
   if (isa<LLVM::LLVMPointerType>(type))
     return LLVM::ZeroOp::create(builder, loc, type);
@@ -263,7 +264,8 @@ SmallVector<Addition> AdditionOrder::takeOut(scf::IfOp &branch) {
     return types.size() - 1;
   };
   for (bool inThen : {true, false}) {
-    /// The result for a key, and the distance of its address from the key.
+    /// For each key of an address: the number of its result, and the distance
+    /// of the address from the key.
     llvm::SmallDenseMap<Key, std::pair<size_t, int64_t>> known;
     for (size_t i = inThen ? 0 : numThen,
                 end = inThen ? numThen : additions.size();
@@ -383,7 +385,7 @@ void AdditionOrder::processPart(ArrayRef<Operation *> part) {
   }
   if (moved.empty())
     return;
-  // Results that code outside the part uses.
+  // The results of the moved operations that other code uses.
   SmallVector<Value> used;
   for (Operation *op : moved)
     for (Value result : op->getResults())
@@ -408,7 +410,7 @@ void AdditionOrder::processPart(ArrayRef<Operation *> part) {
     op->moveBefore(active, active->end());
   OpBuilder end = OpBuilder::atBlockEnd(active);
   scf::YieldOp::create(end, loc, used);
-  // Threads without an iteration do not use the results.
+  // Yield zeros in threads without an iteration, which do not use the results.
   OpBuilder none = OpBuilder::atBlockEnd(branch.elseBlock());
   SmallVector<Value> zeros;
   for (Value value : used)
@@ -443,7 +445,8 @@ void AdditionOrder::process(Block *block) {
       process(serial.getBody());
       continue;
     }
-    // The condition is the same for all threads.
+    // Both arms can be processed, because the condition is the same for all
+    // threads.
     auto branch = cast<scf::IfOp>(op);
     process(branch.thenBlock());
     if (branch.elseBlock())

@@ -15,8 +15,8 @@ namespace mlir::tai {
 /// The number of threads in the block of a loop that runs in one warp.
 constexpr int64_t kWarpSize = 32;
 
-/// On a call of an ordered addition: the alias scopes of the updated memory, or
-/// a unit attribute where unknown.
+/// Attribute of a call of an ordered addition: the alias scopes of the updated
+/// memory, or a unit attribute if they are unknown.
 constexpr llvm::StringLiteral kOrderedScopeAttrName = "tai.ordered_scope";
 
 /// The share of a thread in a loop that tai-relax-atomics assigned to a warp.
@@ -24,18 +24,19 @@ struct WarpPart {
   /// The warp runs batches of iterations, which start at the iterations
   /// `first`, `first` + `step`, ...
   Value first, step;
-  /// An i1: whether this thread belongs to the warp.
+  /// An i1 value: whether this thread belongs to the warp that runs the loop.
   Value isHere;
   /// The number of the thread in the warp; null where one thread runs all
   /// iterations, because threads might not reach the additions together.
   Value lane;
 };
 
-/// Simplifies the loop, so that its additions can be analysed.
+/// Simplifies the body of a warp's loop, so that its additions can be analysed.
 void prepareWarpLoop(ParallelForOp loop);
 
-/// Distributes `loop`, of `count` iterations, over the threads; call before the
-/// loop is taken apart. `thread` is the number of this thread.
+/// Distributes the `count` iterations of `loop` over the threads of a warp;
+/// call before the body of the loop is moved. `thread` is the number of this
+/// thread.
 WarpPart emitWarpPart(OpBuilder &builder, ParallelForOp loop, Value thread,
                       Value count, RuntimeCalls &runtime);
 

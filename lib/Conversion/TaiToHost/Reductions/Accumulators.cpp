@@ -16,8 +16,8 @@ using namespace mlir::tai;
 /// Partial sums of two partitions must not share a cache line.
 constexpr int64_t kCacheLine = 64;
 
-/// The given indices as values before the loop; constants defined inside the
-/// loop are copied.
+/// Returns the indices as values before the loop; copies constants that are
+/// defined inside the loop.
 static SmallVector<Value> getOutside(ValueRange values, ParallelForOp loop) {
   OpBuilder builder(loop);
   return llvm::map_to_vector(values, [&](Value value) -> Value {
@@ -119,7 +119,7 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
   return arith::MinSIOp::create(builder, loc, parts, limit);
 }
 
-/// The slot at which the partial sum of register `i` begins.
+/// The first slot of the partial sum of register `i`.
 int64_t Accumulators::getPartialSlot(size_t i) const {
   int64_t slot = 0;
   for (const Register &sum : ArrayRef(registers).take_front(i))
@@ -233,7 +233,7 @@ void Accumulators::emitAfterChunks(OpBuilder &builder, Location loc,
 }
 
 //===----------------------------------------------------------------------===//
-// In the function of the loop
+// Code in the function of the loop
 //===----------------------------------------------------------------------===//
 
 void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
@@ -279,7 +279,7 @@ static void moveBehindBranches(Operation *update, OpOperand &updated,
       Value value = updated.get();
       if (!region->isAncestor(update->getParentRegion())) {
         builder.setInsertionPoint(yield);
-        // x + -0 is x, also for x = -0.
+        // Add -0 where the branch is not taken: x + -0 is x, also for x = -0.
         TypedAttr nothing = getIdentity(kind, type);
         if (kind == AtomicKind::Add && isa<FloatType>(type))
           nothing = builder.getFloatAttr(type, -0.0);

@@ -25,7 +25,7 @@ namespace mlir::tai {
 
 class Accumulators {
 public:
-  /// Collects the accumulations of `loop`.
+  /// Collects the accumulations of `loop` that are privatised.
   static FailureOr<Accumulators> collect(ParallelForOp loop,
                                          ModuleLowering &lowering);
 
@@ -36,48 +36,51 @@ public:
   Value limitParts(OpBuilder &builder, Location loc, Value parts, Value count,
                    double iterationsPerCount);
 
-  /// Emitted in the kernel before the loop: allocates partial sums.
+  /// Emits code in the kernel, before the loop, that allocates the partial
+  /// sums.
   void emitBefore(OpBuilder &builder, Location loc, Value frame, Value parts);
 
-  /// Emitted at the entry of the loop's function, where the partition is known.
+  /// Emits code at the entry of the loop's function, where the partition is
+  /// known.
   void emitEntry(OpBuilder &builder, Location loc, Value part);
-  /// Replaces the updates, after they have been moved into the function.
+  /// Replaces the updates by updates of private sums, after the loop's body has
+  /// been moved into its function.
   void rewriteUpdates();
   /// The maximum number of iterations in a block of the innermost loop, or 0 if
   /// no sum needs blocks.
   int64_t getBlockLength() const;
-  /// Whether getBlockLength is a strict limit, which cuts rows as well.
+  /// Whether the limit getBlockLength() is strict: it then cuts rows as well.
   bool storesTerms() const;
-  /// Emitted after each block of iterations, run by `loop`: adds the block's
-  /// sums to the totals.
+  /// Emits code after each block of iterations that `loop` runs: adds the sums
+  /// of the block to the totals.
   void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
-  /// Emitted at the end of the loop's function.
+  /// Emits code at the end of the loop's function.
   void emitExit(OpBuilder &builder, Location loc);
 
   /// For a loop whose iterations are cut into chunks, so that its sums have the
   /// order of all targets: emitted before and after the iterations of a chunk.
   void emitChunkStart(OpBuilder &builder, Location loc);
   void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk);
-  /// Iteration i of `loop` belongs to lane i - `base` of these sums.
+  /// Makes iteration i of `loop` add to lane i - `base` of the sums.
   void setLanes(scf::ForOp loop, Value base) { innermost = {loop, base}; }
 
   /// Emitted in the kernel after the loop: adds the partial sums to the fields.
   void emitAfter(OpBuilder &builder, Location loc, Value frame, Value parts);
-  /// Like emitAfter, for the partial sums of `chunks` chunks.
+  /// As emitAfter, for the partial sums of `chunks` chunks of iterations.
   void emitAfterChunks(OpBuilder &builder, Location loc, Value chunks);
 
 private:
-  /// A sum of one component, in one of the forms.
+  /// The sum of one component that a partition keeps in a register.
   struct Register {
     Register(const FieldInfo *field, Total updates);
 
-    /// Null for a sum in an array of the kernel.
+    /// The field that the sum is added to; null for an array of the kernel.
     const FieldInfo *field;
     Total updates;
     std::unique_ptr<TotalForm> form;
-    // Valid in the kernel: the place in a field, or the address in an array.
-    // Not taken from the updates, whose operands change when the loop becomes a
-    // function.
+    // The place of the sum in a field, or its address in an array, as values of
+    // the kernel. Not taken from the updates, whose operands change when the
+    // loop becomes a function.
     SmallVector<Value> indices, components;
     Value address;
   };
@@ -91,7 +94,8 @@ private:
   ModuleLowering *lowering;
   std::vector<Register> registers;
   std::vector<BufferSums> buffers;
-  /// The innermost loop in the loop's function.
+  /// The innermost loop in the loop's function, and the iteration of its first
+  /// lane.
   TotalForm::Place innermost;
   /// Memory for the register sums of all partitions, in the kernel.
   Value partials;

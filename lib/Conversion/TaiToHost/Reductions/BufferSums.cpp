@@ -57,7 +57,7 @@ int32_t BufferSums::getCombineKind() const {
                                    : kSumsF32;
 }
 
-/// The address of the first element of the updated part.
+/// Emits the address of the first element of the updated part of the field.
 Value BufferSums::emitTarget(OpBuilder &builder, Location loc) {
   const FieldInfo &field = *group.field;
   IndexMath math(builder, loc);
@@ -66,7 +66,8 @@ Value BufferSums::emitTarget(OpBuilder &builder, Location loc) {
   for (const IndexDigit &digit : field.storage.digits) {
     if (!slice.fixed[digit.dimension] || digit.extent == 1)
       continue;
-    // Indices of free dimensions stay null: emitDigit does not use them here.
+    // Only the digit's own dimension needs an index: emitDigit uses no other
+    // here.
     SmallVector<Value> zeroBased(field.layout.shape.size());
     zeroBased[digit.dimension] = math.sub(group.fixed[digit.dimension],
                                           field.layout.offset[digit.dimension]);
@@ -144,7 +145,8 @@ void BufferSums::rewriteUpdates(ModuleLowering &lowering) {
       cell = math.add(cell, emitComponent(builder, loc, field.elementShape,
                                           atomic.getComponents()));
     if (digits == SumDigits::Pair) {
-      // The errors come after all sums, so that neighbouring sums are adjacent.
+      // In the buffer, the rounding errors follow all sums, so that sums of
+      // neighbours are adjacent.
       address = emitPointer(builder, loc, storage, address, cell);
       Value restAt = emitPointer(builder, loc, storage, address,
                                  math.constant(getNumElements()));

@@ -21,7 +21,8 @@ namespace mlir::tai {
 
 class BufferSums {
 public:
-  /// Fails with an error if the part is not evenly spaced in memory.
+  /// Creates the buffers of a group of additions. Fails with an error if the
+  /// updated part of the field is not evenly spaced in memory.
   static FailureOr<BufferSums> create(AccumulationGroup group,
                                       ParallelForOp loop);
 
@@ -30,13 +31,15 @@ public:
     return slice.numCells * group.field->numComponents;
   }
 
-  /// Emitted in the kernel before the loop. `single`: there is one partition.
+  /// Emits code in the kernel before the loop. `single`: whether there is only
+  /// one partition.
   void emitBefore(OpBuilder &builder, Location loc, ModuleLowering &lowering,
                   Value frame, Value parts, Value single);
-  /// Emitted in the loop's function: at its entry, and in place of the updates.
+  /// Emit code in the loop's function: at its entry, and in place of the
+  /// updates.
   void emitEntry(OpBuilder &builder, Location loc, Value part);
   void rewriteUpdates(ModuleLowering &lowering);
-  /// Emitted in the kernel after the loop. `whereSeveral` inserts at a point
+  /// Emits code in the kernel after the loop. `whereSeveral` inserts at a point
   /// that is reached only if there are several partitions.
   void emitAfter(OpBuilder &builder, OpBuilder &whereSeveral, Location loc,
                  ModuleLowering &lowering, Value frame, Value parts);
@@ -61,7 +64,7 @@ private:
   SumDigits digits = SumDigits::Own;
   // Valid in the kernel:
   Value target, memory, partStride, cellStride;
-  // Valid in the loop's function:
+  // A value of the loop's function:
   Value base;
 };
 

@@ -27,7 +27,7 @@ public:
       : TotalForm(sum), kind(sum.kind),
         type(getLaneType(sum.kind, sum.termType)) {}
 
-  /// Chunks leave their sums in `groups`, not in slots of a partition.
+  /// A partition has no slots: chunks leave their sums in `groups`.
   unsigned getNumSlots() const override { return 0; }
   /// Allocates memory for the groups of all chunks.
   void emitBefore(OpBuilder &builder, Location loc) override;

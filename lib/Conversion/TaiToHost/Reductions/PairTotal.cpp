@@ -75,7 +75,8 @@ static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x,
 }
 
 namespace {
-/// A pair for each vector lane, and the terms of a block of iterations.
+/// A compensated sum, or pair, for each vector lane, and the terms of a block
+/// of iterations.
 class PairLanes {
 public:
   /// Emitted at the entry of a function, for `updates` updates in each of the
@@ -88,7 +89,7 @@ public:
                 scf::ForOp loop, Value term);
   /// Emitted after the innermost loop: sums the terms of the block.
   void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
-  /// The sum over all lanes of `sums`, with its error.
+  /// Emits the sum over all lanes, with its rounding error.
   Pair emitTotal(OpBuilder &builder, Location loc);
 
 private:
@@ -96,7 +97,7 @@ private:
   static constexpr int64_t kVectors = 2;
 
   VectorType type;
-  /// For each update, the buffer of its terms.
+  /// For each update, the buffer in which a block stores its terms.
   SmallVector<Value> terms;
   SmallVector<Value> sums, rests;
 };
@@ -143,7 +144,7 @@ PairLanes::PairLanes(OpBuilder &builder, Location loc, size_t updates,
   auto function =
       cast<LLVM::LLVMFuncOp>(builder.getInsertionBlock()->getParentOp());
   OpBuilder entry = OpBuilder::atBlockBegin(&function.getBody().front());
-  // Zeros follow the last terms, to fill whole vectors.
+  // Allocate room for zeros after the last terms, which fill whole vectors.
   for (size_t i = 0; i < updates; ++i)
     terms.push_back(emitRoom(entry, loc, type, block / kLanes + kVectors));
   Value zero =
@@ -278,7 +279,7 @@ SmallVector<Value> PairTotal::emitCombined(OpBuilder &builder, Location loc,
 
 void PairTotal::emitUpdate(OpBuilder &builder, Location loc, ValueRange total,
                            Value address, AliasScopes scopes) {
-  // Adds the old value to the pair, to round only once.
+  // Add the old value of the element to the pair, to round only once.
   Value old = emitLoad(builder, loc, sum.termType, address, scopes);
   Pair next = emitPairSum(builder, loc, {total[0], total[1]}, old);
   emitStore(builder, loc, emitRounded(builder, loc, next), address, scopes);

@@ -33,8 +33,8 @@ static Type getSumType(const TotalUpdates &sum) {
   return isNarrow ? Float32Type::get(type.getContext()) : type;
 }
 
-/// Emits a (kind) b as an op that gets no fast-math flags: its order is part of
-/// the result in every mode.
+/// Emits the combination of a and b by `kind`, as an op that gets no fast-math
+/// flags: the order of such ops is part of the result in every mode.
 static Value emitInOrder(OpBuilder &builder, Location loc, AtomicKind kind,
                          Value a, Value b) {
   if (isa<FloatType>(a.getType()))
@@ -161,7 +161,8 @@ void RegisterTotal::emitUpdate(OpBuilder &builder, Location loc,
     return void(emitPlainUpdate(
         builder, loc, sum.kind,
         emitNarrowed(builder, loc, result, sum.termType), address, scopes));
-  // Adds the old value in the type of the total, to round only once.
+  // Add the old value of the element in the wide type of the total, to round
+  // only once.
   Value old = emitLoad(builder, loc, sum.termType, address, scopes);
   Value next = LLVM::FAddOp::create(
       builder, loc, emitWidened(builder, loc, old, result.getType()), result);

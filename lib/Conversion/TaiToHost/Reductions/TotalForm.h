@@ -28,14 +28,14 @@ struct TotalUpdates {
 
   size_t count;
   ReductionAttr reduction;
-  /// How partial sums are combined.
+  /// The operation that combines two partial sums.
   AtomicKind kind;
   Type termType;
 };
 
 class TotalForm {
 public:
-  /// The form for a sum.
+  /// Creates the form that the plan has chosen for a sum.
   static std::unique_ptr<TotalForm> create(const TotalUpdates &sum);
 
   explicit TotalForm(const TotalUpdates &sum) : sum(sum) {}
@@ -46,29 +46,30 @@ public:
   int64_t getBlockLength() const { return sum.reduction.getBlock(); }
   virtual bool storesTerms() const { return false; }
 
-  // Emitted in the kernel before the loop.
+  // Emits code in the kernel before the loop.
   virtual void emitBefore(OpBuilder &builder, Location loc) {}
 
-  // Emitted in the loop's function: at its entry, at an update, after a block
+  // Emit code in the loop's function: at its entry, at an update, after a block
   // of iterations of `loop`, and at its end.
   virtual void emitEntry(OpBuilder &builder, Location loc) = 0;
-  /// The innermost loop, and the iteration that belongs to its first lane.
+  /// The innermost loop, and its iteration that belongs to the first lane.
   struct Place {
     scf::ForOp loop;
     Value firstLane;
   };
-  /// At update `number` of the element; `update` is its kind, such as Add or
-  /// Sub.
+  /// Emits an update. `number`: its position among the updates of the element.
+  /// `update`: its kind, such as Add or Sub.
   virtual void emitTerm(OpBuilder &builder, Location loc, size_t number,
                         AtomicKind update, Value term, Place place) = 0;
   virtual void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop) {
   }
-  /// Returns the partial sum of the partition: nothing for a sum in chunks.
+  /// Returns the partial sum of the partition; no values for a sum in chunks,
+  /// which leaves none.
   virtual SmallVector<Value> emitPartial(OpBuilder &builder, Location loc) {
     return {};
   }
 
-  // Emitted around the iterations of a chunk, for sums in the order of all
+  // Emit code around the iterations of a chunk, for sums in the order of all
   // targets.
   virtual void emitChunkStart(OpBuilder &builder, Location loc) {}
   virtual void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk) {}
@@ -83,7 +84,7 @@ public:
                                           ValueRange sums, ValueRange partial) {
     return {};
   }
-  /// The sum of all chunks.
+  /// Emits the sum over all chunks.
   virtual Value emitChunksTotal(OpBuilder &builder, Location loc,
                                 Value chunks) {
     return {};
@@ -99,7 +100,7 @@ protected:
   TotalUpdates sum;
 };
 
-/// The number, extended to a wider float type if `type` is one.
+/// Emits the number, extended to the float type `type` if that is wider.
 Value emitWidened(OpBuilder &builder, Location loc, Value value, Type type);
 /// A sum computed in a wider type, rounded to the type of the field.
 Value emitNarrowed(OpBuilder &builder, Location loc, Value sum, Type type);
