@@ -15,7 +15,7 @@
 using namespace mlir::tai;
 
 //===----------------------------------------------------------------------===//
-// Forks, and the end of the process
+// Background threads at a fork, and at the end of the process
 //===----------------------------------------------------------------------===//
 
 namespace mlir::tai {
@@ -50,7 +50,7 @@ private:
 };
 } // namespace mlir::tai
 
-/// Ends all threads, and returns with the lock held.
+/// Ends all threads of the Background, and returns with its lock held.
 void Background::hold() {
   std::unique_lock<std::mutex> lock(mutex);
   isHeld = true;
@@ -176,13 +176,14 @@ void Background::run(std::list<runtime::Thread>::iterator self) {
       break;
     ++idle;
     called.wait(lock, [&] { return calls > 0 || isHeld || maxThreads == 0; });
-    // callThread has already removed this thread from the idle threads.
+    // If calls > 0, callThread has already removed this thread from the idle
+    // ones.
     if (calls > 0)
       --calls;
     else
       --idle;
   }
-  // Still under the lock, so that a job that is added now starts another
+  // The lock is still held, so a job that is added from now on starts another
   // thread.
   ended.splice(ended.begin(), threads, self);
   changed.notify_all();

@@ -51,7 +51,8 @@ struct Image {
 };
 } // namespace
 
-/// Reads the name of the library and the names of its dependencies.
+/// Reads the name of a loaded library, and the names of the libraries that it
+/// depends on.
 void Image::readDynamicSection(const char *path) {
   soname = sys::path::filename(path);
   for (const ElfW(Phdr) &segment : segments) {
@@ -62,7 +63,7 @@ void Image::readDynamicSection(const char *path) {
     for (auto *entry = entries; entry->d_tag != DT_NULL; ++entry)
       if (entry->d_tag == DT_STRTAB)
         strings = entry->d_un.d_ptr;
-    // Not every loader relocates the address of the string table.
+    // Not every loader adds the base to the address of the string table.
     if (strings < base)
       strings += base;
     if (!any_of(segments, [&](const ElfW(Phdr) & other) {
@@ -184,7 +185,8 @@ SmallVector<std::string> Images::getIds(ArrayRef<const void *> addresses,
       id = image.getId();
     ids.push_back(id);
   }
-  // Sorted, since the order of loading does not matter.
+  // Sort the ids, since the order in which libraries were loaded does not
+  // matter.
   sort(ids);
   ids.erase(llvm::unique(ids), ids.end());
   return ids;

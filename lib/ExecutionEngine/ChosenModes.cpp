@@ -54,7 +54,8 @@ mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
                 "give it to ti.init, for all");
   if (modes.math)
     result.codegen.fastMath = modes.math == MathMode::Fast;
-  // `accurate` concerns functions only: a strict context stays strict.
+  // The mode `accurate` concerns functions of libm only: in a strict context,
+  // the kernel stays strict.
   bool isStrict = modes.math && !modes.isAccurate()
                       ? modes.math == MathMode::Strict
                       : !options.codegen.contract;

@@ -27,7 +27,7 @@ void CompileReports::printStages(Compiler &compiler, CompileRequest request,
   for (const std::string &stage : stages) {
     if ((isAdjoint || request.forward) && stage == "tai")
       continue;
-    // Primals do not go through differentiation.
+    // Leave out the stage "autodiff" for primals, which are not differentiated.
     if (!isAdjoint && !request.forward && stage == "autodiff")
       continue;
     if (!options.device && Compiler::isDeviceStage(stage))

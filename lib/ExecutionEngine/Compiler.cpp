@@ -76,7 +76,8 @@ public:
 
 private:
   std::string argument;
-  /// The string to fill in the current run, or null.
+  /// The string that the current run fills with the captured IR; null if the
+  /// run captures none.
   std::string **text;
 };
 } // namespace
@@ -218,7 +219,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
                              "this build cannot differentiate kernels");
       return mlir::failure();
     }
-    // The user may have written the adjoint.
+    // The user may have written the adjoint, which is then not derived.
     if (given && given.getAdjoint()) {
       if (zeroes && failed(checkZeroes(*module, given, failure)))
         return mlir::failure();
@@ -230,7 +231,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
       return mlir::failure();
     }
     prepared.toBeRecorded = findToBeRecorded(*module, request.name).serialize();
-    // The primal is compiled separately, when it is first launched.
+    // Drop the primal, which is compiled separately when it is first launched.
     auto kernel = module->lookupSymbol<KernelOp>(request.name);
     FlatSymbolRefAttr adjoint = kernel ? kernel.getAdjointAttr() : nullptr;
     if (kernel)
@@ -244,7 +245,8 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
     if (form && CompileRequest::readsStored(request.goal))
       adjoint = form;
     prepared.symbol = getEntryPointName(adjoint.getValue());
-    // Parts of the kernel are compiled as separate kernels.
+    // Erase the parts that the kernel was split into, which are compiled as
+    // kernels of their own.
     eraseOtherKernels(*module, adjoint.getValue());
   }
   if (request.forward)
@@ -278,7 +280,8 @@ LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
 // Reproducers
 //===----------------------------------------------------------------------===//
 
-/// The command that generates code from the lowered module.
+/// The shell command that generates code from the lowered module of a
+/// reproducer.
 static std::string getCodeCommand(const CompileOptions &options) {
   if (!options.device)
     return "tai-translate --mlir-to-llvmir | llc -O" +
@@ -303,7 +306,8 @@ void Compiler::addReproducer(CompileRequest request,
                               CompileRequest::zeroes(request.goal)
                                   ? worker.zeroingAutodiff
                                   : worker.autodiff);
-  // Recompute the input of the step.
+  // The module before the failed step is not kept: recompute it for the
+  // reproducer.
   CompileRequest before = request;
   before.forward = request.forward && step != Step::Forward;
   Prepared prepared;

@@ -126,7 +126,8 @@ static LogicalResult findDeviceCode(ModuleOp module, Operation *&found,
   return success();
 }
 
-/// A worker's compiler for device code, created at the first call.
+/// Gets the worker's compiler for device code, which is created at the first
+/// call.
 static llvm::Expected<DeviceCompiler *>
 getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
                   const CompileOptions &options) {
@@ -183,7 +184,8 @@ Compiler::makeProgram(const runtime::ProgramPlan &plan,
   }
   std::string key;
   bool isKnown = false;
-  // The key is computed from the linked module, so that a plan is linked once.
+  // Compute the key in a hook on the linked module, so that the plan is linked
+  // only once.
   if (cache)
     (*compiler)->setLinkedHook(
         [&](const llvm::Module &module)
@@ -305,10 +307,11 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   object.symbol = prepared.symbol;
   object.toBeRecorded = prepared.toBeRecorded;
   object.warnings = prepared.warnings;
-  // Warnings contain places, which are not part of the cache's key.
+  // Warnings contain source locations, which are not part of the cache's key.
   if (!object.warnings.empty())
     object.places = getPlaces(request);
-  // A kernel that is split into parts has no code; its parts report themselves.
+  // A kernel that was split into parts has no code of its own; its parts report
+  // themselves.
   if (object.symbol.empty())
     return object;
   object.skipped = prepared.skipped;

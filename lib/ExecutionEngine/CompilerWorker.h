@@ -5,7 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Compiler.cpp runs passes with it, CompilerCode.cpp generates code with it.
+// The state of one thread that compiles: Compiler.cpp runs passes with it, and
+// CompilerCode.cpp generates code with it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -43,12 +44,13 @@ struct Compiler::Worker {
          const CompileOptions &options);
 
   CompileOptions options;
-  /// Set by the last pipeline that failed.
+  /// The invalid module after the last pipeline that failed: the pass and the
+  /// error.
   InvalidAfterPass::Finding finding;
   PassManager autodiff;
   PassManager zeroingAutodiff;
   PassManager forward;
-  /// Lowers to the LLVM dialect, with or without a device.
+  /// The passes that lower to the LLVM dialect, with or without device code.
   PassManager lowering;
   std::unique_ptr<ObjectCompiler> objects;
   std::unique_ptr<DeviceCompiler> deviceCode;

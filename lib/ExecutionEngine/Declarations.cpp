@@ -57,8 +57,8 @@ LogicalResult Declarations::addTree(StringRef name, StringRef layout) {
   return addTree(*tree);
 }
 
-/// For messages, describes each sparse level, as "the 'pointer' level above @x,
-/// @v".
+/// Describes each sparse level for messages, such as "the 'pointer' level above
+/// @x, @v".
 static std::vector<std::string> describeNodes(RootType root,
                                               ArrayRef<SparseNode> nodes) {
   struct Places {
@@ -140,8 +140,8 @@ LogicalResult Declarations::destroyTree(StringRef name) {
       gone.insert(field.getSymName());
       symbols.erase(field);
     }
-  // Drop references to destroyed fields: a new field of the same name is a
-  // different field.
+  // Drop names of destroyed fields from adjoints and duals: a new field of the
+  // same name is a different field.
   for (FieldOp field : declared->getOps<FieldOp>()) {
     if (field.getAdjoint() && gone.contains(*field.getAdjoint()))
       field.removeAdjointAttr();
@@ -160,7 +160,8 @@ LogicalResult Declarations::destroyTree(StringRef name) {
 
 FailureOr<runtime::FieldPtr> Declarations::addField(StringRef declaration) {
   DiagnosticCollector collector(context);
-  // Do not verify yet: the text lacks the adjoint and the tree.
+  // Verify later: the text lacks the declarations of the field's adjoint and
+  // tree.
   ParserConfig config(context, /*verifyAfterParse=*/false);
   OwningOpRef<ModuleOp> module = readModule(declaration, config, "declaration");
   if (!module)
@@ -213,7 +214,8 @@ static std::optional<runtime::ScalarKind> getScalarKind(Type type) {
   return std::nullopt;
 }
 
-/// The initial contents as an array; nothing after an error.
+/// The initial contents of the field as a row-major array; nullopt after an
+/// error.
 static std::optional<std::vector<char>>
 getContents(FieldOp field, runtime::ScalarKind scalar) {
   std::vector<char> array;
@@ -308,7 +310,8 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   runtime::FieldPtr made;
   if (failed(failures.check(rt.addField(std::move(info), made))))
     return failure();
-  // No kernel depends on the initial contents.
+  // Kernels see the declaration without its initial contents, on which no
+  // kernel depends.
   FieldOp declaration = field.clone();
   declaration.removeInitialAttr();
   symbols.insert(declaration);

@@ -57,9 +57,10 @@ RemarkScope::~RemarkScope() { currentScope = outer; }
 
 void RemarkScope::prepare(MLIRContext *context) {
   remark::RemarkCategories categories;
-  // In this version of MLIR, `all` alone enables no remarks.
+  // Name each category of remarks: in this version of MLIR, `all` alone enables
+  // none.
   categories.passed = categories.missed = categories.analysis = "tai-.*";
-  // This cannot fail, since no file is written.
+  // Ignore the result: this cannot fail, since no file is written.
   (void)remark::enableOptimizationRemarks(
       *context, std::make_unique<RemarkKeeper>(),
       std::make_unique<remark::RemarkEmittingPolicyAll>(), categories);

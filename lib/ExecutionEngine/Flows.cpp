@@ -39,8 +39,8 @@ public:
             const AdjointSignature &signature)
       : kernel(kernel), summary(summary), signature(signature) {}
 
-  /// Nothing for fields that are not in the summary, for buffers of the kernel,
-  /// and for the gradients of arrays.
+  /// The number of the place of a storage; nullopt for fields that are not in
+  /// the summary, for buffers of the kernel, and for the gradients of arrays.
   std::optional<size_t> find(Storage storage) {
     auto [entry, isNew] = numbers.try_emplace(storage.getOpaque());
     if (isNew)
@@ -75,7 +75,8 @@ private:
     if (!argument || argument.getOwner() != &kernel.getBody().front())
       return std::nullopt;
     place.name = getName(argument);
-    // Gradients are arguments that follow their arrays, and are no places.
+    // Arguments that are gradients of arrays follow their arrays, and are no
+    // places.
     if (StringRef(place.name).ends_with(".grad"))
       return std::nullopt;
     unsigned number = argument.getArgNumber();

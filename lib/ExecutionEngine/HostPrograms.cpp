@@ -35,7 +35,7 @@ static void stubKernels(ModuleOp module) {
 /// Drops operations that use nothing of tai and do not belong to the program
 /// `entry`.
 static void keepReachable(ModuleOp module, StringRef entry) {
-  // The program is lowered even if it contains no op of tai.
+  // Mark the program to be lowered even if it contains no op of tai.
   if (auto program = module.lookupSymbol<func::FuncOp>(entry))
     markLowered(program);
   llvm::SetVector<Operation *> needed = collectLowered(module);
@@ -55,7 +55,8 @@ OwningOpRef<ModuleOp> mlir::tai::makeHostModule(ModuleOp module,
                                                 StringRef entry) {
   OwningOpRef<ModuleOp> host = module.clone();
   upgradeFormerChecks(*host);
-  // Do this first, so that helpers that only kernels call are dropped.
+  // Reduce kernels to signatures first, so that helpers that only kernels call
+  // are dropped.
   stubKernels(*host);
   keepReachable(*host, entry);
   return host;

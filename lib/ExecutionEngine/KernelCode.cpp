@@ -177,10 +177,12 @@ LogicalResult KernelCode::prepareAdjoint(Failure &failure, bool claims) {
 std::optional<Compiler::Function>
 KernelCode::compilePlannedAdjoint(Failure &failure) {
   Goal goal = getPlannedGoal();
-  // Shared with the task, which may outlive this function.
+  // The prepared adjoint is shared with the task, which may outlive this
+  // function.
   auto first = std::make_shared<std::optional<Compiler::Prepared>>();
   {
-    // A thread that plans the tape waits for this step, but not for the code.
+    // A thread that plans the tape waits for this preparation, but not for the
+    // code.
     PrepareLock lock(prepareMutex);
     if (failed(prepareAdjoint(failure, /*claims=*/true)))
       return std::nullopt;
@@ -221,7 +223,8 @@ void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
   const runtime::Recorder *tape = services.rt.recordingTape();
   bool isByHand = tape && tape->isSuspended();
   planLoadsStored = !isByHand;
-  // A user-written adjoint has only its own form.
+  // The adjoint that a user has written has no form that sets more adjoints to
+  // zero.
   planZeroes = !getKernel().getAdjoint() &&
                (alwaysZeroes(kernel.summary()) ||
                 (isByHand && overwritesGradients(kernel.summary())));
@@ -409,7 +412,7 @@ splitParts(ModuleOp parts) {
          llvm::make_early_inc_range(module->getOps<KernelOp>()))
       if (other.getSymName() != part.getSymName())
         other.erase();
-    // The form of the part's adjoint is chosen later.
+    // Drop the name of the part's adjoint, whose form is chosen later.
     auto copy = module->lookupSymbol<KernelOp>(part.getSymName());
     copy.removeAdjointAttr();
     copy.removePartOfAttr();
@@ -449,10 +452,11 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   {
     PrepareLock lock(prepareMutex);
     Failure failure;
-    // The plan is needed when a launch is recorded, the code only when the tape
-    // runs backwards.
+    // Prepare the adjoint without generating code: recording a launch needs the
+    // plan, and only the reverse sweep needs the code.
     if (!toBeRecorded && failed(prepareAdjoint(failure, /*claims=*/false))) {
-      // Try again after an interruption.
+      // After an interruption the plan is provisional, and is made again at the
+      // next request.
       plan.provisional = failure.kind == FailureKind::Runtime;
       return services.failures.keep(std::move(failure));
     }
@@ -469,7 +473,8 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   for (const NamedAccess &access : told->reads)
     if (runtime::FieldPtr field = findField(access.field))
       plan.reads.push_back({field, access.kind, access.fixed});
-  // A tape does not track writes to gradients.
+  // A field is watched if it is not a gradient, since a tape does not track
+  // writes to gradients.
   auto isWatched = [&](const NamedAccess &access) {
     runtime::FieldPtr field = findField(access.field);
     return field && !field->isAdjoint();

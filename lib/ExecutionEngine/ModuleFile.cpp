@@ -104,8 +104,8 @@ OwningOpRef<ModuleOp> mlir::tai::readModule(StringRef bytes,
   StringRef bytecode = bytes.drop_front(kHeaderSize);
   if (!checkText(bytecode, context, file))
     return {};
-  // Resources have the alignment with which they were written: align the
-  // buffer.
+  // Align the copy of the bytecode, since resources in it have the alignment
+  // with which they were written.
   auto aligned = llvm::WritableMemoryBuffer::getNewUninitMemBuffer(
       bytecode.size(), file, llvm::Align(64));
   llvm::copy(bytecode, aligned->getBufferStart());

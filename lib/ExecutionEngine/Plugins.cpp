@@ -37,7 +37,8 @@ LogicalResult mlir::tai::loadPlugin(Session &session, StringRef file) {
   if (!dialects)
     reasons = llvm::toString(dialects.takeError());
   if (!passes)
-    // If there is no such file, both errors have the same text.
+    // Keep one of the errors, since both have the same text if there is no such
+    // file.
     reasons = llvm::toString(passes.takeError());
   if (!dialects && !passes)
     return session.fail(FailureKind::Usage, "cannot load '" + file +
@@ -71,7 +72,8 @@ LogicalResult mlir::tai::runPasses(Session &session, ModuleOp module,
   });
   MLIRContext *context = session.getContext();
   DiagnosticCollector collector(context);
-  // Deeply nested parentheses would overflow the stack.
+  // Reject text that nests too deeply, which would overflow the stack of MLIR's
+  // parser.
   if (!checkText(pipeline, context, "pipeline"))
     return session.fail(collector.take(FailureKind::Syntax));
   std::string text = pipeline.trim().str();

@@ -136,7 +136,7 @@ LogicalResult Program::run(StringRef name) {
   if (failed(checkFunction(name)))
     return failure();
   auto known = functions.find(name);
-  // The options may have changed since the function was compiled.
+  // Compile a function again if the options have changed since it was compiled.
   if (known != functions.end() && !session.isCurrent(known->second)) {
     session.unload(known->second);
     functions.erase(known);

@@ -37,7 +37,8 @@ void InvalidAfterPass::runAfterPassFailed(Pass *pass, Operation *op) {
 /// verifier after a pass, or from a conversion that did not lower an op.
 static bool isOurs(const InvalidAfterPass::Finding &finding,
                    StringRef message) {
-  // After an error in the program, a pass may leave an invalid module.
+  // Compare with the verifier's message, since a pass may also leave an invalid
+  // module after an error in the program.
   return (!finding.error.empty() && finding.error == message) ||
          finding.pass == "tai-verify-llvm" ||
          message.starts_with("failed to legalize");

@@ -51,7 +51,7 @@ runInParallel(size_t count,
     if (!thread.start(help, "tai-compile"))
       break;
   work();
-  // End the threads before the flags that they read.
+  // Join the threads before the flags that they read are destroyed.
   threads.clear();
   return failed < count ? std::optional(failed.load()) : std::nullopt;
 }

@@ -122,7 +122,8 @@ Session::Session()
   }
 }
 
-// A background job may use any member.
+// Stop background jobs before any member is destroyed: a job may use all of
+// them.
 Session::~Session() { background.stop(); }
 
 SessionObjects Session::countObjects() {
@@ -151,7 +152,7 @@ LogicalResult Session::compileEagerly(runtime::Kernel &kernel) {
   runtime::Status status = kernel.resolve();
   if (!status.ok())
     return fail(status);
-  // A missing adjoint is an error only if a tape needs it.
+  // Ignore a missing adjoint here: it is an error only if a tape needs it.
   if (carriesGradients(kernel))
     (void)kernel.resolveAdjoint(adjoint);
   return success();
@@ -179,7 +180,7 @@ FailureOr<SessionKernel *> Session::parseKernel(StringRef bytes, StringRef file,
   OwningOpRef<ModuleOp> module;
   {
     DiagnosticCollector collector(context.get());
-    // Verify the module once it has the declarations that it refers to.
+    // Verify the module later, when it has the declarations that it refers to.
     ParserConfig config(context.get(), /*verifyAfterParse=*/false);
     module = readModule(bytes, config, file);
     if (!module)

@@ -71,10 +71,11 @@ static bool compilesProgramsInBackground(runtime::DeviceKind kind) {
 }
 
 namespace {
-/// A program that a thread of the session compiles.
+/// The compilation of a device program on a background thread of the session.
 class BackgroundProgram final : public runtime::ProgramJob {
 public:
-  /// Shared with the thread, which may outlive the sequence.
+  /// State shared with the background thread, which may outlive the sequence
+  /// that the program is for.
   struct State {
     std::atomic<bool> isDone{false}, isAbandoned{false};
     runtime::DeviceImage image;
@@ -125,7 +126,7 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     return fail(FailureKind::Usage, "option '" + name + "' expects " +
                                         expected + ", but got '" + value + "'");
   };
-// One macro for each kind of target, the last column of Options.def.
+// A macro for each kind of target that the last column of Options.def names.
 #define TAI_SET_Codegen(member)                                                \
   (compileOptions.codegen.member = *parsed, success())
 #define TAI_SET_Compile(member) (compileOptions.member = *parsed, success())

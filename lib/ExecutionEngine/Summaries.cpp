@@ -11,7 +11,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Adds to the writes in the summary the boxes of elements that they store to.
+/// Adds to each write in the kernel's summary the boxes of elements that the
+/// write stores to.
 static void addStoredBoxes(ModuleOp module, KernelOp kernel,
                            std::vector<runtime::Access> &summary) {
   std::vector<NamedAccess> accesses;

@@ -54,7 +54,8 @@ static LogicalResult runWhile(Run &run, Operation *op) {
     if (failed(run.passSafepoint()) ||
         failed(run.runBlock(*loop.getBeforeBody(), carried)))
       return failure();
-    // The condition, and the values for the body or the results.
+    // scf.condition ends the block with the condition, and the values for the
+    // body or the loop's results.
     bool goesOn = isTrue(run.ended.front().numbers.front());
     Data forwarded(run.ended.begin() + 1, run.ended.end());
     if (!goesOn) {
@@ -124,7 +125,8 @@ static LogicalResult forEach(Run &run, int64_t count, bool serial,
   }
   std::vector<int64_t> order(std::max<int64_t>(count, 0));
   std::iota(order.begin(), order.end(), 0);
-  // Written out: std::shuffle may give another order on another machine.
+  // A shuffle written out, since std::shuffle may give another order on another
+  // machine.
   for (size_t i = order.size(); i > 1; --i)
     std::swap(order[i - 1], order[run.order() % i]);
   for (int64_t i : order)

@@ -20,18 +20,18 @@ long double determinant(ArrayRef<long double> matrix, int64_t n);
 long double cofactor(ArrayRef<long double> matrix, int64_t n, int64_t row,
                      int64_t column);
 
-/// Values in descending order, with the corresponding columns of `left` and
-/// `right`, whose signs are arbitrary.
+/// The result of a decomposition: values in descending order, and the
+/// corresponding columns of `left` and `right`, whose signs are arbitrary.
 struct Decomposition {
   SmallVector<long double> left, values, right;
 };
 
-/// Eigenvalues and eigenvectors (`right`) of a symmetric matrix, by Jacobi's
-/// rotations.
+/// Computes the eigenvalues and eigenvectors (in `right`) of a symmetric
+/// matrix, by Jacobi's rotations.
 Decomposition decomposeSymmetric(ArrayRef<long double> matrix, int64_t n);
 
-/// Singular values; the last one is negative if the determinant is, so that
-/// `left` and `right` are rotations.
+/// Computes the singular values of a matrix. The last one is negative if the
+/// determinant is, so that `left` and `right` are rotations.
 Decomposition decomposeSingular(ArrayRef<long double> matrix, int64_t n);
 
 } // namespace mlir::tai::interpreter

@@ -285,7 +285,8 @@ static bool isActive(Run &run, const FieldPlace &field,
   return word >> cell % 64 & 1;
 }
 
-/// The address of an element, or of one of its components, in range.
+/// Finds the address of an element, or of one of its components; fails the
+/// launch if an index is out of range.
 static FailureOr<char *> locate(Run &run, Operation *op,
                                 const FieldPlace &field,
                                 SmallVector<int64_t> indices,
@@ -434,7 +435,8 @@ static LogicalResult runVisitsAll(Run &run, Operation *op) {
   return success();
 }
 
-/// The list to which `append` and `length` apply, and the dimension along it.
+/// Finds the list that `append` or `length` refers to, and the dimension along
+/// it.
 static FailureOr<FieldStorage::SparseLevel> findList(Run &run, Operation *op,
                                                      const FieldPlace &field,
                                                      unsigned &dimension) {
@@ -483,7 +485,7 @@ static LogicalResult runAppend(Run &run, Operation *op) {
                    field.nodes[list->node].type.getNumCells();
   int64_t at = tai_rt_append(run.frame, run.getTree(field), list->node, number,
                              describePlace(op->getLoc()).c_str());
-  // tai_rt_append has already failed the launch.
+  // If the position is negative, tai_rt_append has failed the launch.
   if (at < 0)
     return failure();
   given[dimension] += at;
@@ -498,7 +500,7 @@ static LogicalResult runAppend(Run &run, Operation *op) {
   return success();
 }
 
-/// Handles operations that have no effect here.
+/// Handles operations that need no action in an interpreter.
 static LogicalResult runNothing(Run &run, Operation *op) { return success(); }
 
 void interpreter::addMemoryHandlers(Handlers &handlers) {

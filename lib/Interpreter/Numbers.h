@@ -39,12 +39,12 @@ inline int64_t toIndex(const Number &number) {
 inline Number fromIndex(int64_t index) {
   return llvm::APInt(64, static_cast<uint64_t>(index), /*isSigned=*/true);
 }
-/// A float as f64, exactly.
+/// Converts a float to f64, exactly.
 double toDouble(const Number &number);
 /// Rounds to the float type.
 Number fromDouble(long double number, Type type);
 
-// The representation in memory: i1 takes a byte, index eight.
+// The representation of numbers in memory: i1 takes a byte, index eight.
 int64_t getByteSize(Type type);
 Number readNumber(const char *from, Type type);
 void writeNumber(const Number &number, char *to);
@@ -72,7 +72,8 @@ struct Outcome {
 /// the result's component.
 using ScalarFunction = Outcome (*)(Operation *op, ArrayRef<Number> operands,
                                    Type type);
-/// The function for operations of this name, or null.
+/// Finds the function that computes operations of this name; null if there is
+/// none.
 ScalarFunction findScalarFunction(StringRef name);
 
 /// Arithmetic on numbers of the same type.

@@ -16,7 +16,8 @@
 
 namespace mlir::tai::interpreter {
 
-/// A field: its address function, and the sparse levels on its path.
+/// A field of the program: how to compute addresses of its elements, and the
+/// sparse levels above it.
 struct FieldPlace {
   FieldLayout layout;
   FieldStorage storage;

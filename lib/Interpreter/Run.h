@@ -35,7 +35,8 @@ struct Variable {
   Numbers value;
 };
 
-/// Why a result is undefined: an error once the value is used.
+/// An undefined result: the operation that yields it, and the reason. Using the
+/// value is an error.
 struct Undefined {
   Operation *op;
   std::string problem;
@@ -71,7 +72,7 @@ struct DrawCounter {
   }
 };
 
-/// Values in the form of the runtime's messages.
+/// Values to show in a message, in the form that the runtime takes.
 struct Message {
   SmallVector<int32_t> kinds, shapes;
   SmallVector<uint64_t> slots;
@@ -86,11 +87,11 @@ struct Run {
   /// Fails the launch at an operation.
   LogicalResult fail(Operation *op, const Twine &message,
                      int32_t failure = TAI_FAIL_CHECK);
-  /// Reports a failure, and continues.
+  /// Reports a failure at an operation, and continues.
   void report(Operation *op, StringRef message, ValueRange values,
               int32_t failure);
   Message getMessage(ValueRange values);
-  /// Called at each iteration of a loop.
+  /// Checks for interrupts; called at each iteration of a loop.
   LogicalResult passSafepoint();
 
   Datum &get(Value value) { return values[value]; }
@@ -99,7 +100,8 @@ struct Run {
   Data getOperands(Operation *op);
   void set(Value value, Datum datum) { values[value] = std::move(datum); }
   void setResults(Operation *op, const Data &results);
-  /// The field that an operation accesses, and the base of its tree.
+  /// getField: the field that an operation accesses. getTree: the base of the
+  /// field's tree.
   const FieldPlace &getField(Operation *op);
   char *getTree(const FieldPlace &field) {
     return static_cast<char *>(frame->trees[field.tree]);
@@ -117,7 +119,7 @@ struct Run {
 
   const Program &program;
   TaiFrame *frame;
-  /// The generator of the order of iterations, if that is random.
+  /// Draws the order of iterations, if that is random.
   std::mt19937_64 order;
   llvm::DenseMap<Value, Datum> values;
   /// The operands of the last block's terminator.

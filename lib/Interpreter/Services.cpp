@@ -77,7 +77,8 @@ static LogicalResult runAssert(Run &run, Operation *op) {
   return success();
 }
 
-/// Runs the operations that compute a value from the arguments of the kernel.
+/// Runs the operations that compute `value`, which depends on arguments of the
+/// kernel alone.
 static LogicalResult evaluate(Run &run, Value value) {
   Operation *op = value.getDefiningOp();
   if (!op || run.values.contains(value))
@@ -109,7 +110,7 @@ static LogicalResult runCheckClose(Run &run, Operation *op) {
   double expected = toDouble(run.getNumber(check.getExpected()));
   double tolerance = check.getTolerance().convertToDouble();
   double allowed = tolerance * std::fmax(1, std::abs(expected));
-  // A NaN on either side is a failure.
+  // This comparison is false if either number is NaN, which is a failure.
   if (std::abs(actual - expected) <= allowed)
     return success();
   int32_t kinds[] = {TAI_VALUE_F64, TAI_VALUE_F64, TAI_VALUE_F64};
@@ -142,7 +143,8 @@ static LogicalResult runLaunch(Run &run, Operation *op) {
   };
   for (Type type : launch.getResultTypes())
     results.append(count(type), 0);
-  // The runtime knows kernels by the address of their names, which end in zero.
+  // The runtime identifies kernels by the address of their names, which are
+  // zero-terminated.
   tai_rt_host_launch(run.frame, launch.getKernel().data(), arguments.data(),
                      arguments.size(), results.data(), results.size());
   const uint64_t *slot = results.data();

@@ -153,7 +153,8 @@ static LogicalResult runBroadcast(Run &run, Operation *op) {
   ArrayRef<int64_t> shape = from ? from.getShape() : ArrayRef<int64_t>();
   Datum result;
   for (int64_t i = 0; i != type.getNumElements(); ++i) {
-    // Trailing dimensions correspond; those of extent 1 are repeated.
+    // A broadcast matches dimensions from the right, and repeats dimensions of
+    // extent 1.
     int64_t rest = i, at = 0, weight = 1;
     for (size_t d = 0; d != shape.size(); ++d) {
       int64_t extent = type.getShape()[type.getRank() - 1 - d];
@@ -168,7 +169,8 @@ static LogicalResult runBroadcast(Run &run, Operation *op) {
   return success();
 }
 
-/// Where the part of a vector at a position begins, or -1 if there is none.
+/// The offset at which the part of a vector at `position` begins; -1 if the
+/// position is out of range.
 static int64_t getOffset(VectorType type, ArrayRef<int64_t> position) {
   int64_t offset = 0;
   for (auto [i, extent] : llvm::enumerate(type.getShape())) {
@@ -180,7 +182,8 @@ static int64_t getOffset(VectorType type, ArrayRef<int64_t> position) {
   return offset;
 }
 
-/// The position of an extract or insert; `evaluate` gives its dynamic indices.
+/// The position of an extract or insert; `evaluate` returns the value of a
+/// dynamic index.
 template <typename Op>
 static SmallVector<int64_t> getPosition(Op op,
                                         function_ref<int64_t(Value)> evaluate) {
@@ -259,7 +262,7 @@ static LogicalResult runShuffle(Run &run, Operation *op) {
   Datum result;
   for (int64_t row : shuffle.getMask())
     for (int64_t i = 0; i != size; ++i) {
-      // -1 means that the component is undefined.
+      // A row of -1 in the mask leaves the component undefined.
       if (row < 0)
         return run.fail(op, "the mask leaves a component undefined");
       result.numbers.push_back(both[row * size + i]);
@@ -427,8 +430,8 @@ static Datum narrow(ArrayRef<long double> numbers, Type type) {
 
 static LogicalResult runNorm(Run &run, Operation *op) {
   auto norm = cast<NormOp>(op);
-  // Squares of f64 are in the range of long double; with `fast`, squares are
-  // rounded to the type.
+  // The sum of squares of f64 is in the range of long double. With `fast`,
+  // squares are rounded to the type of the vector.
   long double sum = 0;
   for (long double a : widen(run.get(norm.getVector()).numbers))
     sum += a * a;
@@ -480,7 +483,8 @@ static LogicalResult runSolve(Run &run, Operation *op) {
 static LogicalResult runPolar(Run &run, Operation *op) {
   auto polar = cast<PolarOp>(op);
   int64_t n = getRows(polar.getMatrix());
-  // A = U Σ Vᵀ = (U Vᵀ) (V Σ Vᵀ).
+  // The factors of the polar decomposition follow from the singular values: A =
+  // U Σ Vᵀ = (U Vᵀ) (V Σ Vᵀ).
   Decomposition parts =
       decomposeSingular(widen(run.get(polar.getMatrix()).numbers), n);
   SmallVector<long double> rotation(n * n), stretch(n * n);
@@ -516,7 +520,8 @@ static LogicalResult runSymEig(Run &run, Operation *op) {
   auto eig = cast<SymEigOp>(op);
   int64_t n = getRows(eig.getMatrix());
   SmallVector<long double> a = widen(run.get(eig.getMatrix()).numbers);
-  // Only the lower triangle counts.
+  // Only the lower triangle of the symmetric matrix counts: copy it to the
+  // upper one.
   for (int64_t i = 0; i != n; ++i)
     for (int64_t j = i + 1; j != n; ++j)
       a[i * n + j] = a[j * n + i];

@@ -332,7 +332,8 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
                  .append(name.getValue(), "': the name is taken")
                  .attachNote(known->getLoc())
              << "by this";
-    // The op is declared in both modules, or was copied to be found by name.
+    // The op is no conflict if both modules only declare it, or if it was
+    // copied so that passes find it by name.
     auto declared = dyn_cast<LLVM::LLVMFuncOp>(op);
     if (known->getName() == op.getName() &&
         (!declared || declared.isExternal()))

@@ -37,7 +37,7 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
   pm.addPass(createExpandGradients());
   pm.addPass(createCheckLowerable());
   addContextModes(pm, options);
-  // Fuse launches while kernels are as written.
+  // Fuse launches first, while kernels are as the program wrote them.
   if (options.optLevel > 0 && !checked && options.bounds != BoundsMode::Clamp &&
       options.fuseLaunches) {
     pm.addPass(createFuseLaunches());
@@ -50,7 +50,7 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
   reductions.oneThread = oneThread;
   pm.addPass(createRecognizeReductions(reductions));
 
-  // No pass that folds may run earlier.
+  // Fold angles before any other pass that folds constants.
   pm.addPass(createFoldAngles());
 
   // Check indices of the program as written: a report names the index that the

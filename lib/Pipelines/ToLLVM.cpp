@@ -35,7 +35,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
       function.addPass(createScatterToGather());
       function.addPass(createNormalizeIndices());
       function.addPass(createVersionInterior());
-      // In the interior, conditions are constants now: fold them.
+      // Fold the conditions that tai-version-interior has made constant in the
+      // interior.
       addCanonicalization(function);
     }
     if (fast && options.skip.has(Skip::UntakenBranches))
@@ -44,7 +45,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     // assumes that all of these succeed.
     if (fast && !options.fastMath)
       function.addPass(createVersionGuards());
-    // Shadow execution has no shadows for the memory that this pass creates.
+    // With shadow execution, vectors stay values: memory that this pass creates
+    // would have no shadows.
     if (fast && !options.shadow)
       function.addPass(createVectorsToMemory());
     // From here on, values are scalars, and loops run over boxes.
@@ -56,7 +58,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
   addPerFunction(pm, [&](OpPassManager &function) {
-    // The loop over blocks also omits activity tests and repeated lookups.
+    // Vectorising blocks also omits activity tests and repeated lookups, so
+    // both skips must be allowed.
     if (fast && options.skip.has(Skip::ActivityTests) &&
         options.skip.has(Skip::RepeatedLookups))
       function.addPass(createVectorizeBlocks());

@@ -53,8 +53,8 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
       function.addPass(createCoarsenThreads());
   });
 
-  // Do this while accesses name fields: the parts of their addresses are then
-  // known to be in range.
+  // Narrow indices while accesses name fields: the parts of their addresses are
+  // then known to be in range.
   pm.addPass(createNarrowIndices());
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;

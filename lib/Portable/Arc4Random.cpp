@@ -16,8 +16,8 @@
 
 extern "C" __attribute__((visibility("hidden"))) uint32_t arc4random() {
   uint32_t value = 0;
-  // Requests of up to 256 bytes are filled once the kernel has collected
-  // entropy.
+  // Once the kernel has collected entropy, getrandom fills a request of up to
+  // 256 bytes as a whole; try again until then.
   while (getrandom(&value, sizeof(value), 0) != sizeof(value)) {
   }
   return value;

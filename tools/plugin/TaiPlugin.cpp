@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-//   mlir-opt-22 --load-dialect-plugin=TaiPlugin.so \
-//     --load-pass-plugin=TaiPlugin.so \
-//     --pass-pipeline='builtin.module(tai-to-llvm)' kernel.mlir
+// The plugin by which mlir-opt-22 knows tai, with the options
+// --load-dialect-plugin=TaiPlugin.so --load-pass-plugin=TaiPlugin.so and, for
+// example, --pass-pipeline='builtin.module(tai-to-llvm)'.
 //
 //===----------------------------------------------------------------------===//
 

@@ -76,7 +76,7 @@ static void passDelimited(std::FILE *input, std::FILE *output) {
   while (readLine(input, line)) {
     StringRef text = StringRef(line).ltrim();
     if (!text.starts_with("// -----")) {
-      // Lines of comments are not part of the message.
+      // Skip lines of comments, which are not part of the message.
       if (!text.starts_with("//"))
         message += line;
       continue;
@@ -126,7 +126,7 @@ void tai::filterStandardInput(bool isDelimited) {
       passDelimited(input, output);
     else
       passFramed(input, output);
-    // The server ends when its input ends.
+    // Close the pipe, since the server ends when its input ends.
     std::fclose(output);
   }).detach();
 }

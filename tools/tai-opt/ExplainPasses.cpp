@@ -32,11 +32,11 @@ struct Contents {
   OperationFingerPrint print;
 };
 
-/// A map by name, in the order of insertion.
+/// A map whose keys are names, and which is visited in the order of insertion.
 template <typename T>
 using ByName = llvm::MapVector<std::string, T, std::map<std::string, unsigned>>;
 
-/// The state when a pass begins.
+/// The ops of each function when a pass begins, to compare with at its end.
 struct Step {
   ByName<Contents> before;
   /// For each location, a function with ops there, to which remarks at this

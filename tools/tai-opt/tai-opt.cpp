@@ -25,7 +25,7 @@
 
 using namespace mlir;
 
-/// As MlirOptMain, with a report of each pass.
+/// Does the work of MlirOptMain, and reports the effects of each pass.
 static LogicalResult runExplained(StringRef input, StringRef output,
                                   DialectRegistry &registry) {
   MlirOptMainConfig given = MlirOptMainConfig::createFromCLOptions();

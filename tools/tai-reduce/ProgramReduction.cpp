@@ -43,7 +43,8 @@ bool eraseWithZeros(Operation *op) {
   for (Value result : op->getResults()) {
     if (result.use_empty())
       continue;
-    // An existing value of this type makes a smaller program than a constant.
+    // An operand with the type of the result makes a smaller program than a
+    // constant.
     Value same;
     for (Value operand : op->getOperands())
       if (operand.getType() == result.getType())
@@ -219,7 +220,7 @@ SmallVector<std::pair<TreeOp, Type>> collectLevels(ModuleOp module) {
   return levels;
 }
 
-/// The layout with another type in the place of a level.
+/// Replaces the type of a level by another one in the layout of a tree.
 void replaceLevel(TreeOp tree, Type level, Type other) {
   AttrTypeReplacer replacer;
   replacer.addReplacement([&](Type type) -> std::optional<Type> {
@@ -257,8 +258,8 @@ bool makeDense(ModuleOp module, size_t number) {
   return true;
 }
 
-/// The level with these extents, or null for a kind that the tool does not
-/// support.
+/// The level with these extents; null for a kind of level that the tool does
+/// not support.
 Type resize(Type level, ArrayRef<int64_t> shape) {
   return llvm::TypeSwitch<Type, Type>(level)
       .Case<DenseType, PointerType, BitmaskedType, HashType>([&](auto own) {
@@ -284,7 +285,7 @@ bool shrinkLevel(ModuleOp module, size_t number) {
   return true;
 }
 
-/// The list without an element.
+/// The list without the element at `index`.
 template <typename T> SmallVector<T> without(ArrayRef<T> list, size_t index) {
   SmallVector<T> rest(list);
   rest.erase(rest.begin() + index);

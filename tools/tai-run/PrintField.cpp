@@ -49,7 +49,7 @@ public:
     for (int64_t i = 0; i < shape[depth]; ++i) {
       if (i > 0) {
         stream << ',';
-        // A line for each innermost list.
+        // Start a new line for each innermost list.
         if (depth + 1 < shape.size())
           stream << '\n' << std::string(depth + 1, ' ');
         else

@@ -30,8 +30,8 @@ using namespace mlir::tai;
 namespace cl = llvm::cl;
 
 namespace {
-/// Constructed in main, after LLVM's own options have been removed: some have
-/// the same names.
+/// The options of tai-run. Constructed in main, after LLVM's own options have
+/// been removed, some of which have the same names.
 struct Options {
   cl::opt<std::string> inputFile{cl::Positional, cl::init("-"),
                                  cl::desc("<file>")};
@@ -237,8 +237,8 @@ int main(int argc, char **argv) {
   llvm::InitLLVM initialize(argc, argv);
   cl::ResetCommandLineParser();
   Options options;
-  // The help lists options by category, and the category of options that have
-  // none has been removed, too.
+  // Move options without a category into a new one: the help lists options by
+  // category, and their default category was removed with LLVM's options.
   cl::OptionCategory category("Options of tai-run");
   for (auto &[name, option] : cl::getRegisteredOptions())
     if (llvm::is_contained(option->Categories, &cl::getGeneralCategory()))

@@ -63,7 +63,7 @@ static LogicalResult translate(Operation *op, raw_ostream &output,
                                bool wantsPtx) {
   auto fail = [&](llvm::Error error) -> LogicalResult {
     std::string message = llvm::toString(std::move(error));
-    // Without a message, the translation has already reported its error.
+    // An error without a message has already been reported by the translation.
     return message.empty() ? failure() : op->emitError(message);
   };
   auto module = dyn_cast<ModuleOp>(op);
