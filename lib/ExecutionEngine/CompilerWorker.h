@@ -44,7 +44,7 @@ struct Compiler::Worker {
          const CompileOptions &options);
 
   CompileOptions options;
-  /// The invalid module after the last pipeline that failed: the pass and the
+  /// The pass after which verification failed in the last pipeline, and the
   /// error.
   InvalidAfterPass::Finding finding;
   PassManager autodiff;

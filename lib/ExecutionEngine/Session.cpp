@@ -43,7 +43,8 @@ public:
 };
 } // namespace
 
-/// Sets the options of a kernel that both lowerings share.
+/// Sets the options of a kernel that the lowerings to the CPU and to a GPU
+/// share.
 static void setLowering(LoweringOptions &lowering,
                         const CompileOptions &options) {
 #define TAI_LOWERING_OPTION(type, member, from, argument, initial, about)      \

@@ -111,8 +111,8 @@ public:
     DeviceLimits limits;
     limits.multiprocessors = 4;
     limits.memoryBytes = memoryBytes;
-    // Reserved memory is committed in small pieces, so that tests reach its
-    // limit.
+    // The size of the pieces in which reserved memory is committed: small, so
+    // that a test can reach the memory limit.
     limits.reservedPieceBytes = 64 << 10;
     return limits;
   }

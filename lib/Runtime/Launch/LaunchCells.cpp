@@ -23,7 +23,8 @@ const std::vector<int64_t> &Launch::visitedCells(SparseNode &node) {
   return list ? list->cells : none;
 }
 
-/// The list of the primal's loops over the level; null after a failure.
+/// Finds the cells that the primal's loops over the level visited; null after a
+/// failure.
 const LoopLists::Entry *Launch::findGiven(SparseNode &node) {
   const LoopLists::Entry *entry = given->find(node);
   bool differs = entry && entry->others == LoopLists::Others::Differ;

@@ -15,7 +15,8 @@ using namespace mlir::tai::runtime;
 
 /// The code of longer loops would not fit the instruction caches.
 static constexpr size_t longestPeriod = 64;
-/// Fewer repetitions are not worth code of their own.
+/// The minimum number of repetitions of some steps for which a loop in the code
+/// pays.
 static constexpr size_t fewestRepetitions = 4;
 /// Limits the size of code: each step in the body of a loop adds to it.
 static constexpr size_t mostLoopSteps = 128;

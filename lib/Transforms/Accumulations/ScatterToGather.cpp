@@ -476,7 +476,8 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
         int64_t offset = std::abs(source.shift.offset);
         for (const IndexSource::Stray &stray : source.strays)
           offset = std::max(offset, std::abs(stray.element - stray.iteration));
-        // Elements of a cell along this dimension.
+        // The number of elements that a sparse cell spans along dimension `d`
+        // of the loop.
         int64_t extent = 1;
         for (const PathLevel &level : llvm::reverse(visited.path.levels)) {
           if (level.type.isSparse())
