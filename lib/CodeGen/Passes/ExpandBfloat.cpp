@@ -34,15 +34,40 @@ static bool isBfloat(Value *value) {
   return value->getType()->getScalarType()->isBFloatTy();
 }
 
+/// True for intrinsics that the backend computes in f32 and rounds by an
+/// instruction that flushes denormals. Intrinsics that copy bits, such as fabs
+/// and copysign, round nothing.
+static bool isRounded(Intrinsic::ID id) {
+  switch (id) {
+  case Intrinsic::sqrt:
+  case Intrinsic::fma:
+  case Intrinsic::fmuladd:
+  case Intrinsic::minnum:
+  case Intrinsic::maxnum:
+  case Intrinsic::minimum:
+  case Intrinsic::maximum:
+  case Intrinsic::minimumnum:
+  case Intrinsic::maximumnum:
+  case Intrinsic::floor:
+  case Intrinsic::ceil:
+  case Intrinsic::trunc:
+  case Intrinsic::rint:
+  case Intrinsic::nearbyint:
+  case Intrinsic::round:
+  case Intrinsic::roundeven:
+    return true;
+  default:
+    return false;
+  }
+}
+
 static bool mustExpand(Instruction &instruction) {
   if (!isBfloat(&instruction))
     return false;
   if (auto *trunc = dyn_cast<FPTruncInst>(&instruction))
     return trunc->getSrcTy()->getScalarType()->isFloatTy();
   if (auto *call = dyn_cast<IntrinsicInst>(&instruction))
-    return call->getIntrinsicID() == Intrinsic::sqrt ||
-           call->getIntrinsicID() == Intrinsic::fma ||
-           call->getIntrinsicID() == Intrinsic::fmuladd;
+    return isRounded(call->getIntrinsicID());
   return isa<BinaryOperator>(instruction);
 }
 

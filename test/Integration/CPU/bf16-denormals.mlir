@@ -38,6 +38,26 @@ tai.kernel @halve() {
   tai.return
 }
 
+// So do extrema and functions that return whole numbers.
+tai.kernel @least() {
+  tai.parallel_for (%i) in @h {
+    %one = arith.constant 1.0 : bf16
+    %v = tai.load @h[%i] : bf16
+    %r = arith.minnumf %v, %one : bf16
+    tai.store %r, @sum[%i] : bf16
+  }
+  tai.return
+}
+
+tai.kernel @ceil() {
+  tai.parallel_for (%i) in @h {
+    %v = tai.load @h[%i] : bf16
+    %r = math.ceil %v : bf16
+    tai.store %r, @sum[%i] : bf16
+  }
+  tai.return
+}
+
 tai.kernel @show(%i: index) {
   %h = tai.load @h[%i] : bf16
   %s = tai.load @sum[%i] : bf16
@@ -93,5 +113,15 @@ func.func @main() {
   tai.launch @show(%c4) : (index) -> ()
   tai.launch @show(%c5) : (index) -> ()
   tai.launch @show(%c63) : (index) -> ()
+  // CHECK-NEXT: 1 1
+  // CHECK-NEXT: -32766 -32766
+  tai.launch @least() : () -> ()
+  tai.launch @show(%c0) : (index) -> ()
+  tai.launch @show(%c5) : (index) -> ()
+  // CHECK-NEXT: 1 16256
+  // CHECK-NEXT: -32766 -32768
+  tai.launch @ceil() : () -> ()
+  tai.launch @show(%c0) : (index) -> ()
+  tai.launch @show(%c5) : (index) -> ()
   return
 }

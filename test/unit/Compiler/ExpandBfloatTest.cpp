@@ -60,6 +60,44 @@ define <8 x bfloat> @vectors(<8 x float> %x) {
   EXPECT_EQ(after, 0);
 }
 
+/// Extrema and functions that return whole numbers round as well: a minimum of
+/// denormals was flushed to zero.
+TEST(ExpandBfloat, ExtremaAndWholeNumbers) {
+  auto [before, after] = countRoundings(R"(
+declare bfloat @llvm.minnum.bf16(bfloat, bfloat)
+declare bfloat @llvm.maximum.bf16(bfloat, bfloat)
+declare <4 x bfloat> @llvm.ceil.v4bf16(<4 x bfloat>)
+declare <4 x bfloat> @llvm.roundeven.v4bf16(<4 x bfloat>)
+define bfloat @extrema(bfloat %x, bfloat %y) {
+  %a = call bfloat @llvm.minnum.bf16(bfloat %x, bfloat %y)
+  %b = call bfloat @llvm.maximum.bf16(bfloat %a, bfloat %y)
+  ret bfloat %b
+}
+define <4 x bfloat> @whole(<4 x bfloat> %x) {
+  %a = call <4 x bfloat> @llvm.ceil.v4bf16(<4 x bfloat> %x)
+  %b = call <4 x bfloat> @llvm.roundeven.v4bf16(<4 x bfloat> %a)
+  ret <4 x bfloat> %b
+}
+)");
+  EXPECT_EQ(before, 4);
+  EXPECT_EQ(after, 0);
+}
+
+/// Functions that copy bits round nothing.
+TEST(ExpandBfloat, SignsStay) {
+  auto [before, after] = countRoundings(R"(
+declare bfloat @llvm.fabs.bf16(bfloat)
+declare bfloat @llvm.copysign.bf16(bfloat, bfloat)
+define bfloat @signs(bfloat %x, bfloat %y) {
+  %a = call bfloat @llvm.fabs.bf16(bfloat %x)
+  %b = call bfloat @llvm.copysign.bf16(bfloat %a, bfloat %y)
+  ret bfloat %b
+}
+)");
+  EXPECT_EQ(before, 2);
+  EXPECT_EQ(after, 2);
+}
+
 /// A function of the runtime rounds f64; other types are not changed.
 TEST(ExpandBfloat, OthersStay) {
   auto [before, after] = countRoundings(R"(
