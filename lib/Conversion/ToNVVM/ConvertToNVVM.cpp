@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../TaiToGPU/LoopAccesses.h"
 #include "../TaiToGPU/Offload.h"
 #include "../ToLLVM/FloatOptions.h"
 #include "DeviceFloats.h"
@@ -28,6 +29,20 @@ namespace mlir::tai {
 
 using namespace mlir;
 using namespace mlir::tai;
+
+/// Drops the functions of one iteration of kernels that flush denormals, so
+/// that no program runs these kernels in tiles. On an emulated device, the body
+/// of a flushing function moves to a callee, where a program would not find the
+/// accesses that it redirects to overlays.
+static void dropFlushingTiles(gpu::GPUModuleOp kernels) {
+  for (auto function : kernels.getOps<LLVM::LLVMFuncOp>()) {
+    if (!Modes::of(function).flushes() || !function->removeAttr(kTilesAttrName))
+      continue;
+    std::string name = (function.getSymName() + runtime::tileSuffix).str();
+    if (auto tile = kernels.lookupSymbol<LLVM::LLVMFuncOp>(name))
+      tile.erase();
+  }
+}
 
 namespace {
 /// On an emulated device: gpu.thread_id x  ->  a call of the device library.
@@ -131,9 +146,13 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     target.addLegalOp<gpu::GPUModuleOp>();
     target.addIllegalDialect<gpu::GPUDialect>();
     target.addLegalOp<gpu::GPUModuleOp>();
-    if (failed(applyPartialConversion(kernels, target, std::move(patterns))) ||
-        (emulated && failed(flushDenormals(kernels))))
+    if (failed(applyPartialConversion(kernels, target, std::move(patterns))))
       return failure();
+    if (emulated) {
+      dropFlushingTiles(kernels);
+      if (failed(flushDenormals(kernels)))
+        return failure();
+    }
     // Loop annotations are for the vectoriser, which is not used for a GPU;
     // keep only annotations about unrolling. scf.for passes its annotation to
     // the branch as a discardable attribute.

@@ -48,11 +48,13 @@ def play(runs, loss, prepare, forward, outcome):
     return results, tape
 
 
-def run_both_ways(scene, runs=RUNS):
+def run_both_ways(scene, runs=RUNS, **options):
     """The results of every run, which must be the same, and the last tape."""
     tapes, results = [], []
     for fuse in (True, False):
-        ti.init(offline_cache=False, deterministic=True, fuse_launches=fuse, bounds="off")
+        ti.init(
+            offline_cache=False, deterministic=True, fuse_launches=fuse, bounds="off", **options
+        )
         outcomes, tape = scene(runs)
         results.append(outcomes)
         tapes.append(tape)
@@ -120,6 +122,11 @@ def test_sweeps_around_the_borders(n, m):
     names = [names for _, names in chains_of(tape)]
     assert any("around_0 x 5" in name for name in names) or n == 1
     assert any("around_grad_0 x 5" in name for name in names) or n == 1
+
+
+def test_sweeps_that_flush_denormals():
+    """Programs of kernels that flush crashed: their bodies were not in the tiles."""
+    run_both_ways(relaxation(16, 12, 5), ftz=True)
 
 
 def test_sweeps_are_those_of_numpy():
