@@ -65,7 +65,8 @@ struct MatrixModel : DifferentiableOpInterface::ExternalModel<Model, OpTy> {
   }
 };
 
-/// Adjoint of the matrix product R = A B:  A* += G Bᵀ,  B* += Aᵀ G.
+/// Adjoint of the matrix product.
+/// R = A B:  A* += G Bᵀ,  B* += Aᵀ G.
 struct MatmulModel : MatrixModel<MatmulModel, MatmulOp> {
   void build(MatmulOp op, AdjointBuilder &b, Value g) const {
     Value lhs = op.getLhs(), rhs = op.getRhs();
@@ -106,7 +107,8 @@ struct MatmulModel : MatrixModel<MatmulModel, MatmulOp> {
   }
 };
 
-/// Adjoint of the transpose R = Aᵀ:  A* += Gᵀ.
+/// Adjoint of the transpose.
+/// R = Aᵀ:  A* += Gᵀ.
 struct TransposeModel : MatrixModel<TransposeModel, TransposeOp> {
   void build(TransposeOp op, AdjointBuilder &b, Value g) const {
     b.addAdjoint(op.getMatrix(), createTranspose(b, g));
@@ -116,7 +118,8 @@ struct TransposeModel : MatrixModel<TransposeModel, TransposeOp> {
   }
 };
 
-/// Adjoint of the dot product r = Σ aᵢ bᵢ:  a* += g b,  b* += g a.
+/// Adjoint of the dot product.
+/// r = Σ aᵢ bᵢ:  a* += g b,  b* += g a.
 struct DotModel : MatrixModel<DotModel, DotOp> {
   void build(DotOp op, AdjointBuilder &b, Value g) const {
     Value lhs = op.getLhs(), rhs = op.getRhs();
@@ -142,7 +145,8 @@ struct DotModel : MatrixModel<DotModel, DotOp> {
   }
 };
 
-/// Adjoint of the sum r = Σ aᵢ:  g is added to each component of a*.
+/// Adjoint of the sum.
+/// r = Σ aᵢ:  a* += g everywhere.
 struct SumModel : MatrixModel<SumModel, SumOp> {
   void build(SumOp op, AdjointBuilder &b, Value g) const {
     b.addAdjoint(op.getVector(),
@@ -153,7 +157,8 @@ struct SumModel : MatrixModel<SumModel, SumOp> {
   }
 };
 
-/// Adjoint of the cross product R = a × b:  a* += b × G,  b* += G × a.
+/// Adjoint of the cross product.
+/// R = a × b:  a* += b × G,  b* += G × a.
 struct CrossModel : MatrixModel<CrossModel, CrossOp> {
   void build(CrossOp op, AdjointBuilder &b, Value g) const {
     Value lhs = op.getLhs(), rhs = op.getRhs();
@@ -186,7 +191,8 @@ struct CrossModel : MatrixModel<CrossModel, CrossOp> {
   }
 };
 
-/// Adjoint of the outer product R = a bᵀ:  a* += G b,  b* += Gᵀ a.
+/// Adjoint of the outer product.
+/// R = a bᵀ:  a* += G b,  b* += Gᵀ a.
 struct OuterModel : MatrixModel<OuterModel, OuterOp> {
   void build(OuterOp op, AdjointBuilder &b, Value g) const {
     Value lhs = op.getLhs(), rhs = op.getRhs();
@@ -212,7 +218,8 @@ struct OuterModel : MatrixModel<OuterModel, OuterOp> {
   }
 };
 
-/// Adjoint of the norm r = ‖a‖:  a* += g (a / r), and nothing where r = 0.
+/// Adjoint of the norm.
+/// r = ‖a‖:  a* += g (a / r), and nothing where r = 0.
 struct NormModel : MatrixModel<NormModel, NormOp> {
   void build(NormOp op, AdjointBuilder &b, Value g) const {
     Value vector = op.getVector(), a = b.getPrimal(vector);
@@ -265,8 +272,8 @@ struct StopGradientModel
   bool carriesDerivative(Operation *, OpOperand &) const { return false; }
 };
 
-/// Adjoint of an op whose result R has the value of A and the derivative of B:
-/// B* += G.
+/// Adjoint of an op whose result has the value of one operand.
+/// R = A, and has the derivative of B:  B* += G.
 struct DeriveAsModel
     : DifferentiableOpInterface::ExternalModel<DeriveAsModel, DeriveAsOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
@@ -284,7 +291,8 @@ struct DeriveAsModel
   }
 };
 
-/// Adjoint of the trace r = tr A:  g is added to the diagonal of A*.
+/// Adjoint of the trace.
+/// r = tr A:  the diagonal of A* += g.
 struct TraceModel : MatrixModel<TraceModel, TraceOp> {
   void build(TraceOp op, AdjointBuilder &b, Value g) const {
     int64_t n = getRows(op.getMatrix());
@@ -343,7 +351,8 @@ SmallVector<Value> createCofactors(DerivativeBuilder &b, Value matrix) {
   return cofactors;
 }
 
-/// Adjoint of the determinant r = det A:  A* += g cof A.
+/// Adjoint of the determinant.
+/// r = det A:  A* += g cof A.
 struct DeterminantModel : MatrixModel<DeterminantModel, DeterminantOp> {
   void build(DeterminantOp op, AdjointBuilder &b, Value g) const {
     Value matrix = op.getMatrix();
@@ -365,7 +374,8 @@ struct DeterminantModel : MatrixModel<DeterminantModel, DeterminantOp> {
   }
 };
 
-/// Adjoint of the inverse R = A⁻¹:  A* -= Rᵀ G Rᵀ.
+/// Adjoint of the inverse.
+/// R = A⁻¹:  A* -= Rᵀ G Rᵀ.
 struct InverseModel : MatrixModel<InverseModel, InverseOp> {
   void build(InverseOp op, AdjointBuilder &b, Value g) const {
     Value t = createTranspose(b, b.getPrimal(op.getResult()));
@@ -381,7 +391,8 @@ struct InverseModel : MatrixModel<InverseModel, InverseOp> {
   }
 };
 
-/// Adjoint of the solution x of A x = b:  b* += A⁻ᵀ G,  A* -= (A⁻ᵀ G) xᵀ.
+/// Adjoint of a linear solve.
+/// A x = b:  b* += A⁻ᵀ G,  A* -= (A⁻ᵀ G) xᵀ.
 struct SolveModel : MatrixModel<SolveModel, SolveOp> {
   void build(SolveOp op, AdjointBuilder &b, Value g) const {
     Value transposed = createTranspose(b, b.getPrimal(op.getMatrix()));
