@@ -403,7 +403,7 @@ def scene_text(scene: str, groups: dict[tuple, list[dict]], has_picture: bool) -
         lines.append(f"| {place} | {' | '.join(choice(group))} |")
     for place, group in mine.items():
         has_peers = bool(split(group)[1])
-        said = verdict(group) if has_peers else "No peer was measured."
+        said = f"{place}: {verdict(group)}" if has_peers else "No peer was measured."
         lines += ["", f"## {place}", "", *_wrapped(said), "", *table(group)]
     fast = speed_and_digits(mine)
     if fast:
