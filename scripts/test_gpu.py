@@ -9,6 +9,8 @@ the interpreter that runs this script, copies the tests beside it, and runs the 
     bench     benchmarks/gpu/run.py: tai, hand-written CUDA, and other systems
     errors    benchmarks/error/run.py: run time against error on the GPU; with --arch cpu, on
               one thread of the CPU
+    functions all arguments of functions of one f32 (scripts/exhaustive.py), on the GPU or the CPU;
+              what --out holds from an earlier run is not done again
     fuzz      random kernels on the GPU, of up to two million elements; see test/fuzz/run.py
     ensemble  examples/ensemble.py on 1, 2 and 4 GPUs, as many as there are
     bars      the bars of test/reliability that can run on a GPU, from seeds of their own
@@ -56,7 +58,16 @@ TREE = [
     "pyproject.toml",
 ]
 # How the time is shared among the steps.
-SHARES = {"tests": 4, "bench": 5, "errors": 5, "fuzz": 1, "ensemble": 2, "bars": 3, "sanitize": 4}
+SHARES = {
+    "tests": 4,
+    "bench": 5,
+    "errors": 5,
+    "functions": 8,
+    "fuzz": 1,
+    "ensemble": 2,
+    "bars": 3,
+    "sanitize": 4,
+}
 # Tests that run under compute-sanitizer: each kind of access once, it is slow.
 SANITIZED = (
     "test_fields or test_gradients or test_atomic_gradients or test_loop_gradients or "
@@ -367,6 +378,27 @@ def run_errors(stage: Stage, seconds: float) -> Step:
     return step
 
 
+def run_functions(stage: Stage, seconds: float) -> Step:
+    """All arguments of functions of one f32; scripts/exhaustive.py makes the page, anywhere."""
+    step, options = Step("functions"), stage.options
+    arch = "cpu" if options.arch == "cpu" else "cuda"
+    path = options.out / f"functions-{options.name}-{arch}.json"
+    command = [sys.executable, "scripts/exhaustive.py", "--arch", arch, "--out", path]
+    command += ["--minutes", f"{(seconds - 20) / 60:.2f}", "--jobs", options.jobs]
+    command += ["--stride", 4096] if options.quick else []
+    environment = stage.environment | {"TI_ARCH": ""}
+    if options.arch == "emulated":
+        environment["TAI_CUDA_EMULATION"] = "1"
+    status, output = stage.machine.run(command, seconds, stage.root, environment)
+    step.details = list(dict.fromkeys(re.findall(r"^\| `.*", output, re.MULTILINE)))
+    done = sum(line.rstrip(" |").endswith("| all") for line in step.details)
+    step.summary = f"{len(step.details)} functions, {done} of them at all arguments; {path.name}"
+    if status is None:
+        step.summary += f"; stopped after {seconds:.0f} s"
+    step.failed = status != 0
+    return step
+
+
 def run_fuzz(stage: Stage, seconds: float) -> Step:
     step, options = Step("fuzz"), stage.options
     log = options.out / "fuzz.jsonl"
@@ -540,6 +572,7 @@ STEPS = {
     "tests": run_tests,
     "bench": run_bench,
     "errors": run_errors,
+    "functions": run_functions,
     "fuzz": run_fuzz,
     "ensemble": run_ensemble,
     "bars": run_bars,
