@@ -11,5 +11,5 @@ class core:  # noqa: N801
 
     @staticmethod
     def get_max_num_indices() -> int:
-        """The most dimensions of a field."""
+        """Returns the most dimensions that a field can have."""
         return len(AXIS_NAMES)

@@ -20,13 +20,13 @@ from ._impl.base.targets import why_no_cuda
 from ._version import __version__
 
 _PACKAGE = Path(__file__).resolve().parent
-# Optional packages that others of tai's features use.
+# Optional packages that some features of tai use.
 _PEERS = ("numpy", "torch", "jax", "matplotlib", "scipy")
 
 
 @dataclasses.dataclass(frozen=True)
 class Info:
-    """The answer of `ti.info`; `str` of it is a table.
+    """The result of `ti.info`, which `str` turns into a table.
 
     Attributes:
         version: of the package, as `ti.__version__`.

@@ -59,7 +59,7 @@ def parallel_sort(keys: Any, values: Any = None) -> None:
 
 
 def _sort(keys: Any, values: Any, count: int) -> None:
-    """Batcher's network over two fields without gradients."""
+    """Sorts by Batcher's network, for fields without gradients."""
     merge, width = kernels().merge, 1
     while width < count:
         gap = width

@@ -169,7 +169,7 @@ def _safetensors() -> Any:
 
 
 def save(path: Any, fields: Any = None, /, *, gradients: bool = False, **named: Any) -> list[str]:
-    """Saves the numbers of fields and arrays.
+    """Saves the numbers of fields and arrays to a file.
 
     Args:
         path: of the file. If its name ends in `.safetensors`, that is the format; else it is
@@ -192,7 +192,7 @@ def save(path: Any, fields: Any = None, /, *, gradients: bool = False, **named: 
 
 
 def load(path: Any, fields: Any = None, /, *, strict: bool = True, **named: Any) -> list[str]:
-    """Loads numbers into fields and arrays, as `restore` does.
+    """Loads numbers from a file into fields and arrays, as `restore` does.
 
     Args:
         path: of a file that `save`, `np.savez` or safetensors wrote.

@@ -52,7 +52,7 @@ def _where() -> Found:
 
 
 def _gradient(arch: str) -> str:
-    """Compiles and differentiates a kernel; returns the complaint, or nothing."""
+    """Checks that a kernel compiles and has a gradient; returns the complaint, or nothing."""
     init(arch=cuda if arch == "cuda" else cpu, offline_cache=False)
     x = field(dtypes.f64, shape=64, needs_grad=True)
     loss = field(dtypes.f64, shape=(), needs_grad=True)
@@ -153,7 +153,7 @@ def examine() -> dict[str, Found]:
 
 
 def main() -> int:
-    """Prints the findings; 1 if a check failed."""
+    """Prints the findings of all checks; returns 1 if a check failed."""
     found = examine()
     for name, one in found.items():
         print(f"{one.grade:<5} {name:<9} {one.text}")

@@ -9,7 +9,7 @@ import re
 import warnings
 from collections.abc import Iterable
 
-# Whether errors of kernels show the way through the compiler, for those who work on it.
+# Whether errors of kernels include the traceback in the compiler, for developers of the package.
 SHOW_TRACEBACK = bool(os.environ.get("TAI_TRACEBACK"))
 
 
@@ -85,10 +85,10 @@ class TaiError(Exception):
     """
 
     def __init__(self, message: str, hint: str | None = None):
-        # A number of hundreds of digits would hide the rest.
+        # A number of hundreds of digits would hide the rest of the message.
         message = re.sub(r"\d{50,}", lambda found: found[0][:12] + "…", message)
         super().__init__(message)
-        # For an error without a hint; in a kernel, the compiler has better ones.
+        # The hint of an error that has none of its own; in a kernel, the compiler has better hints.
         self.general_hint = _hint_of_call(message)
         self.message, self.hint = message, hint or self.general_hint
         self.filename: str | None = None
@@ -125,7 +125,7 @@ class TaiError(Exception):
 
 
 class TaiCompilationError(TaiError):
-    """A kernel that cannot be compiled."""
+    """Raised for a kernel that cannot be compiled."""
 
 
 class TaiSyntaxError(TaiCompilationError, SyntaxError):
@@ -143,11 +143,11 @@ class TaiSyntaxError(TaiCompilationError, SyntaxError):
 
 
 class TaiNameError(TaiCompilationError, NameError):
-    """A name that is not defined."""
+    """Raised for a name in a kernel that is not defined."""
 
 
 class TaiTypeError(TaiCompilationError, TypeError):
-    """A value of the wrong type, rank or shape."""
+    """Raised for a value of the wrong type, rank or shape."""
 
 
 class TaiIndexError(TaiCompilationError, IndexError):
@@ -163,7 +163,7 @@ class TaiRuntimeError(TaiError, RuntimeError):
 
 
 class TaiRuntimeTypeError(TaiRuntimeError, TypeError):
-    """An argument of the wrong type."""
+    """Raised for an argument of the wrong type."""
 
 
 class TaiAssertionError(TaiRuntimeError, AssertionError):
@@ -171,23 +171,23 @@ class TaiAssertionError(TaiRuntimeError, AssertionError):
 
 
 class TaiMemoryError(TaiRuntimeError, MemoryError):
-    """Not enough memory for a tree of fields."""
+    """Raised if there is not enough memory for a tree of fields."""
 
 
 class TaiGradientWarning(UserWarning):
-    """A gradient that is right, but perhaps not the wanted one."""
+    """Warns of a gradient that is right, but perhaps not the wanted one."""
 
 
 class TaiConvergenceWarning(UserWarning):
-    """A solver that stopped before it had reached its tolerance."""
+    """Warns that a solver stopped before it had reached its tolerance."""
 
 
 class TaiCompilationWarning(UserWarning):
-    """A warning about code that compiles and is probably a mistake."""
+    """Warns of code that compiles and is probably a mistake."""
 
 
 def shorten(filename: str | None) -> str:
-    """The path relative to the working directory where that is shorter."""
+    """Returns a path relative to the working directory, if that is shorter."""
     if not filename:
         return "<unknown>"
     try:
@@ -227,12 +227,12 @@ def show_line(
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str | None:
-    """A hint with the nearest of the known names, or None."""
+    """Returns a hint with the nearest of the known names, or None."""
     close = difflib.get_close_matches(name, [k for k in known if isinstance(k, str)], n=1)
     return f"did you mean '{close[0]}'?" if close else None
 
 
-# TaiStatus of the C API.
+# For each number of TaiStatus in the C API, the class of errors.
 _BY_STATUS = {
     1: TaiSyntaxError,
     2: TaiTypeError,
@@ -265,7 +265,7 @@ _IN_PYTHON = {
 
 
 def in_python(text: str) -> str:
-    """A message of the compiler in the words of the program."""
+    """Rewrites a message of the compiler in the words of the Python program."""
     for ours, theirs in _IN_PYTHON.items():
         text = text.replace(ours, theirs)
     if SHARED_VARIABLES:
@@ -299,7 +299,7 @@ def from_core(
     if status == 4 and file:  # a failure at a line of a kernel is an assertion or an index
         kind = TaiAssertionError
     message = in_python(message)
-    # Fields have no such sign in Python.
+    # The sign @ before names of fields is dropped, since Python has no such sign.
     message = re.sub(r"'@(\"?)([^'\"]+)\1'", r"'\2'", message)
     message = as_written(message)
     error = kind(message or "unknown failure")
@@ -324,7 +324,7 @@ def warn_from_core(
     if notes := _notes(diagnostics):
         lines += [f"  {part}" for part in notes.splitlines()]
     category = TaiGradientWarning if of_gradient else TaiCompilationWarning
-    # A context tells each of them once.
+    # A context reports each warning only once.
     warnings.warn_explicit("\n".join(lines), category, file or "<kernel>", max(line, 1))
 
 

@@ -25,17 +25,17 @@ __all__ = ["GUI", "Event", "Widget", "hex_to_rgb", "rgb_to_hex"]
 
 # Shapes are drawn this many times larger and then reduced: smooth edges.
 _SCALE = 2
-# The panel of widgets: place and width in pixels.
+# The panel of widgets: its place and width, in pixels.
 _PANEL = (8, 8, 170)
 
 
 def hex_to_rgb(color: Any) -> tuple[Any, Any, Any]:
-    """0xRRGGBB as three numbers from 0 to 1."""
+    """Returns a colour 0xRRGGBB as three numbers from 0 to 1."""
     return ((color >> 16 & 255) / 255, (color >> 8 & 255) / 255, (color & 255) / 255)
 
 
 def rgb_to_hex(rgb: Any) -> Any:
-    """Three numbers (or arrays) from 0 to 1 as 0xRRGGBB."""
+    """Returns three numbers (or arrays) from 0 to 1 as a colour 0xRRGGBB."""
 
     def channel(x: Any) -> Any:
         return np.clip(np.asarray(x) * 255, 0, 255).astype(np.int64)
@@ -60,7 +60,7 @@ def _places(shape: tuple[int, ...], bound: float) -> np.ndarray:
 
 
 def _each(values: np.ndarray, count: int, what: str) -> np.ndarray:
-    """One value for each shape."""
+    """Repeats a value so that there is one value for each shape."""
     values = values.ravel()
     if values.size not in (1, count):
         raise TaiRuntimeTypeError(
@@ -70,7 +70,7 @@ def _each(values: np.ndarray, count: int, what: str) -> np.ndarray:
 
 
 def _are_finite(*points: Any) -> np.ndarray:
-    """Whether all places of a shape are numbers."""
+    """Whether all coordinates of a shape are finite numbers."""
     return np.all([np.isfinite(_array(p).reshape(-1, 2)).all(1) for p in points], axis=0)
 
 
@@ -159,7 +159,7 @@ class GUI(FrameLoop):
         self._draw = ImageDraw.Draw(self._image)
 
     def _points(self, positions: Any, dimensions: int = 2) -> np.ndarray:
-        """Positions in pixels of the enlarged canvas."""
+        """Returns positions in pixels of the enlarged canvas."""
         array = np.atleast_2d(_array(positions))
         if array.shape[-1] != dimensions:
             raise TaiRuntimeTypeError(f"a position has {dimensions} coordinates: {array.shape}")
@@ -171,14 +171,14 @@ class GUI(FrameLoop):
     # Shapes
 
     def circle(self, pos: Any, color: int = 0xFFFFFF, radius: float = 1) -> None:
-        """A disc; the radius is in pixels."""
+        """Draws a disc; the radius is in pixels."""
         self.circles([pos], radius, color)
 
     def circles(
         self, pos: Any, radius: Any = 1, color: Any = 0xFFFFFF, palette: Any = None,
         palette_indices: Any = None,
     ) -> None:  # fmt: skip
-        """Many discs; radius and colour may be arrays."""
+        """Draws many discs; radius and colour may be arrays."""
         points = self._points(pos)
         colors = self._colors(color, len(points), palette, palette_indices)
         radii = _each(_array(radius), len(points), "radii") * _SCALE
@@ -186,13 +186,13 @@ class GUI(FrameLoop):
             self._draw.ellipse((x - r, y - r, x + r, y + r), fill=fill)
 
     def _colors(self, color: Any, count: int, palette: Any, indices: Any) -> np.ndarray:
-        """The colours as bytes, (count, 3)."""
+        """Returns the colours of shapes as bytes, (count, 3)."""
         if palette is not None:
             color = np.asarray(palette)[_array(indices).astype(int).ravel()]
         return rgb_bytes(_each(numbers(color, np.int64), count, "colours"))
 
     def line(self, begin: Any, end: Any, radius: float = 1, color: int = 0xFFFFFF) -> None:
-        """A line; the radius, half of its width, is in pixels."""
+        """Draws a line; the radius, half of its width, is in pixels."""
         self.lines([begin], [end], radius, color)
 
     def lines(self, begin: Any, end: Any, radius: Any = 1, color: Any = 0xFFFFFF) -> None:
@@ -224,13 +224,13 @@ class GUI(FrameLoop):
     def rect(
         self, topleft: Any, bottomright: Any, radius: float = 1, color: int = 0xFFFFFF
     ) -> None:
-        """The outline of a rectangle."""
+        """Draws the outline of a rectangle."""
         (x0, y0), (x1, y1) = _array(topleft), _array(bottomright)
         corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
         self.lines(corners, [*corners[1:], corners[0]], radius, color)
 
     def arrow(self, orig: Any, direction: Any, radius: float = 1, color: int = 0xFFFFFF) -> None:
-        """A line with a head at its end."""
+        """Draws a line with a head at its end."""
         start, way = _array(orig), _array(direction)
         tip = start + way
         self.line(start, tip, radius, color)
@@ -239,7 +239,7 @@ class GUI(FrameLoop):
             self.line(tip, tip - 0.25 * way + 0.15 * sign * side, radius, color)
 
     def arrows(self, orig: Any, direction: Any, radius: float = 1, color: Any = 0xFFFFFF) -> None:
-        """Many arrows; those without a length are left out."""
+        """Draws many arrows; arrows without a length are left out."""
         starts, ways = (_array(values).reshape(-1, 2) for values in (orig, direction))
         tips, sides = starts + ways, np.stack([-ways[:, 1], ways[:, 0]], 1)
         colors = _each(numbers(color, np.int64), len(starts), "colours")
@@ -311,7 +311,7 @@ class GUI(FrameLoop):
         return array
 
     def text(self, content: str, pos: Any, font_size: int = 15, color: int = 0xFFFFFF) -> None:
-        """A line of text; the position is its upper left corner."""
+        """Draws a line of text; the position is its upper left corner."""
         from PIL import ImageFont
 
         ((x, y),) = self._points(pos)
@@ -321,7 +321,7 @@ class GUI(FrameLoop):
     # Frames
 
     def picture(self) -> Any:
-        """The canvas as a Pillow image of `res` pixels."""
+        """Returns the canvas as a Pillow image of `res` pixels."""
         from PIL import Image
 
         return self._image.resize(self.res, Image.Resampling.BOX)
@@ -356,7 +356,7 @@ class GUI(FrameLoop):
         return widget
 
     def label(self, text: str) -> Widget:
-        """A text with a number, the label's `value`."""
+        """Adds a text with a number, the label's `value`, to the panel."""
         widget = Widget(text, 0, 0, 0, 0)
         self._widgets.append(("label", widget))
         return widget

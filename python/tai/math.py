@@ -64,8 +64,8 @@ mat2, mat3, mat4 = (matrix(n, n, float) for n in (2, 3, 4))
 
 
 def clamp(x: Any, low: Any, high: Any) -> Any:
-    """x, but at least `low` and at most `high`."""
-    # In this order x wins the ties at both ends.
+    """Returns x, but at least `low` and at most `high`."""
+    # In this order, x wins ties at both ends, and so gets the derivative there.
     return min(high, max(low, x))
 
 
@@ -85,12 +85,12 @@ def fract(x: Any) -> Any:
 
 
 def step(edge: Any, x: Any) -> Any:
-    """0 below the edge, else 1."""
+    """Returns 0 below the edge, else 1."""
     return ops.select(x < edge, 0.0, 1.0)
 
 
 def smoothstep(edge0: Any, edge1: Any, x: Any) -> Any:
-    """A smooth step from 0 to 1 between two edges."""
+    """Returns a smooth step from 0 to 1 between two edges."""
     t = clamp((x - edge0) / (edge1 - edge0), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
@@ -106,12 +106,12 @@ def cross(x: Any, y: Any) -> Any:
 
 
 def length(x: Any) -> Any:
-    """The norm of a vector."""
+    """Returns the norm of a vector."""
     return x.norm()
 
 
 def distance(x: Any, y: Any) -> Any:
-    """The norm of x - y."""
+    """Returns the norm of x - y."""
     return (x - y).norm()
 
 
@@ -121,7 +121,7 @@ def normalize(x: Any) -> Any:
 
 
 def reflect(x: Any, n: Any) -> Any:
-    """x reflected at the plane with the unit normal n."""
+    """Returns x reflected at the plane with the unit normal n."""
     return x - 2.0 * x.dot(n) * n
 
 
@@ -143,7 +143,7 @@ def radians(x: Any) -> Any:
 
 
 def isnan(x: Any) -> Any:
-    """Whether x is not a number."""
+    """Returns whether x is not a number."""
     return x != x
 
 
@@ -161,7 +161,7 @@ def determinant(m: Any) -> Any:
 
 
 def eye(n: int) -> Any:
-    """The identity of size n."""
+    """Returns the identity matrix of size n."""
     return Matrix.identity(float, n)
 
 
@@ -171,12 +171,12 @@ def mod(x: Any, y: Any) -> Any:
 
 
 def vdir(angle: Any) -> Any:
-    """The unit vector at an angle from the first axis."""
+    """Returns the unit vector at an angle from the first axis."""
     return Matrix([cos(angle), sin(angle)])
 
 
 def popcnt(x: Any) -> Any:
-    """The number of set bits of an integer."""
+    """Returns the number of set bits of an integer."""
     return ops.count_bits("popcnt", x)
 
 

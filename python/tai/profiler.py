@@ -61,7 +61,7 @@ class KernelStats:
 
     @property
     def gigabytes_per_second(self) -> float | None:
-        """`bytes` by the mean time."""
+        """The memory bandwidth: `bytes` divided by the mean time."""
         if self.bytes is None or not self.total:
             return None
         return self.bytes * self.counter / self.total * 1e-6
@@ -147,7 +147,7 @@ def _print_launches() -> None:
 
 
 def print_kernel_profiler_info(mode: str = "count") -> None:
-    """Prints the times of kernels.
+    """Prints the times of kernels as a table.
 
     Args:
         mode: `count`, a table of kernels; or `trace`, each launch in order.
@@ -216,13 +216,13 @@ def save_trace(path: Any) -> None:
 
 
 def clear_kernel_profiler_info() -> None:
-    """Forgets the times so far."""
+    """Forgets the times measured so far."""
     if state.program is not None:
         state.program.context.clear_profile()
 
 
 def query_kernel_profiler_info(name: str) -> KernelStats:
-    """The statistics of the kernels of this name together."""
+    """Returns the statistics of all kernels of this name together."""
     rows = [row for row in get_stats() if row.name == name or row.name.startswith(name + "_")]
     counter = sum(row.counter for row in rows)
     return KernelStats(
@@ -238,12 +238,12 @@ query_kernel_profiler_info_by_name = query_kernel_profiler_info
 
 
 def get_kernel_stats(name: str | None = None) -> Any:
-    """The statistics of one kernel, or of all."""
+    """Returns the statistics of one kernel, or of all kernels."""
     return get_stats() if name is None else query_kernel_profiler_info(name)
 
 
 def get_kernel_profiler_total_time() -> float:
-    """Seconds that all kernels took together."""
+    """Returns the seconds that all kernels took together."""
     return sum(row.total for row in get_stats()) / 1000
 
 

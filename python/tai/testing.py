@@ -5,7 +5,7 @@ from __future__ import annotations
 from ._impl.ad.check import check
 from ._impl.base.keywords import check_keywords
 
-# The name that tests of earlier releases use.
+# The name of `check` in earlier releases, for tests that use it.
 check_gradient = check
 
 __all__ = ["check_gradient"]

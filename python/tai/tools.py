@@ -95,7 +95,7 @@ def imread(filename: str, channels: int = 0) -> np.ndarray:
 
 
 def imresize(image: Any, width: int, height: int | None = None) -> np.ndarray:
-    """The picture in another size, by nearest pixels."""
+    """Returns the picture in another size, by nearest pixels."""
     pixels = _pixels_of(image)
     height = width if height is None else height
     if width < 1 or height < 1:
@@ -108,7 +108,7 @@ def imresize(image: Any, width: int, height: int | None = None) -> np.ndarray:
 
 
 def imshow(image: Any, title: str = "imshow") -> None:
-    """Shows a picture, that is, writes one frame of a `ti.GUI`."""
+    """Shows a picture: writes it as one frame of a `ti.GUI`."""
     pixels = _pixels_of(image)
     gui = GUI(title, res=pixels.shape[:2])
     gui.set_image(pixels)
@@ -162,7 +162,7 @@ class VideoManager:
         return os.path.join(self.directory, self.filename + suffix)
 
     def write_frame(self, image: Any) -> None:
-        """Adds a frame; axes as in `imwrite`."""
+        """Adds a frame to the video; axes as in `imwrite`."""
         name = os.path.join(self.frame_directory, f"{len(self.frame_fns):06d}.png")
         imwrite(image if self.post_processor is None else self.post_processor(image), name)
         self.frame_fns.append(name)
@@ -201,7 +201,7 @@ class Progress:
         self._text = ""
 
     def note(self, text: str) -> None:
-        """Shows a text beside the bar from now on."""
+        """Shows a text beside the progress bar from now on."""
         self._text = text
 
     def __iter__(self) -> Any:

@@ -53,7 +53,7 @@ from ._impl.values.types import (
 
 
 def struct(**members: Any) -> StructType:
-    """The type of structs with these members."""
+    """Returns the type of structs with these members."""
     return StructType(members)
 
 

@@ -67,12 +67,12 @@ class Camera:
 
     @property
     def curr_lookat(self) -> Any:
-        """The point that it looks at."""
+        """The point at which the camera looks."""
         return Vector(self._lookat.tolist())
 
     @property
     def curr_up(self) -> Any:
-        """The direction that is upward in the picture."""
+        """The direction that is upward in the camera's picture."""
         return Vector(self._up.tolist())
 
     def position(self, x: Any, y: Any = None, z: Any = None) -> None:
@@ -88,37 +88,39 @@ class Camera:
         self._up = _point(x, y, z)
 
     def projection_mode(self, mode: int) -> None:
-        """`ProjectionMode.Perspective`, or `Orthogonal` with the planes of a box."""
+        """Sets the projection: `ProjectionMode.Perspective`, or `Orthogonal` with the planes of a
+        box.
+        """
         self._mode = mode
 
     def fov(self, fov: float) -> None:
-        """The angle from the lower to the upper edge, in degrees."""
+        """Sets the angle from the lower to the upper edge of the picture, in degrees."""
         if not 0 < fov < 180:
             raise TaiRuntimeError(f"a field of view has between 0 and 180 degrees, got {fov}")
         self._fov = float(fov)
 
     def left(self, left: float) -> None:
-        """Left plane of an orthogonal projection."""
+        """Sets the left plane of an orthogonal projection."""
         self._planes["left"] = float(left)
 
     def right(self, right: float) -> None:
-        """Right plane of an orthogonal projection."""
+        """Sets the right plane of an orthogonal projection."""
         self._planes["right"] = float(right)
 
     def top(self, top: float) -> None:
-        """Upper plane of an orthogonal projection."""
+        """Sets the upper plane of an orthogonal projection."""
         self._planes["top"] = float(top)
 
     def bottom(self, bottom: float) -> None:
-        """Lower plane of an orthogonal projection."""
+        """Sets the lower plane of an orthogonal projection."""
         self._planes["bottom"] = float(bottom)
 
     def z_near(self, z_near: float) -> None:
-        """Distance from which on things are seen."""
+        """Sets the distance from the camera from which on things are seen."""
         self._near = float(z_near)
 
     def z_far(self, z_far: float) -> None:
-        """Distance up to which things are seen."""
+        """Sets the distance from the camera up to which things are seen."""
         self._far = float(z_far)
 
     def get_view_matrix(self) -> np.ndarray:
@@ -164,14 +166,14 @@ def _point(*values: Any) -> np.ndarray:
 
 
 def _three(points: np.ndarray) -> np.ndarray:
-    """Points of the plane get a third coordinate, 0."""
+    """Gives points of the plane a third coordinate, 0."""
     if points.shape[1] == 3:
         return points
     return np.concatenate([points, np.zeros((len(points), 1), np.float32)], 1)
 
 
 def _colors(color: Any, each: Any, count: int) -> np.ndarray:
-    """Colours with opacity, (count, 4)."""
+    """Returns colours with opacity, as an array (count, 4)."""
     found = vectors(color if each is None else each, (3, 4), "colours")
     if each is not None and len(found) != count:
         raise TaiRuntimeTypeError(
@@ -217,7 +219,7 @@ def _normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 class Scene:
-    """Particles, meshes and lines in three dimensions, and the lights.
+    """The particles, meshes and lines of a picture in three dimensions, and its lights.
 
     `canvas.scene(scene)` draws the scene and empties it, except for the camera: a program adds
     everything in each frame. A scene without a light shows the plain colours.
@@ -237,7 +239,7 @@ class Scene:
         self._camera = camera
 
     def ambient_light(self, color: Any) -> None:
-        """Light from everywhere: each number multiplies a channel of the colours."""
+        """Adds light from everywhere: each number multiplies a channel of the colours."""
         self._ambient = tuple(_point(color).tolist())
 
     def point_light(self, pos: Any, color: Any) -> None:
@@ -251,7 +253,7 @@ class Scene:
         self, centers: Any, radius: float, color: Any = GREY, per_vertex_color: Any = None,
         per_vertex_radius: Any = None, index_offset: int = 0, index_count: int | None = None,
     ) -> None:  # fmt: skip
-        """Balls.
+        """Adds balls to the scene.
 
         Args:
             centers: vectors of 3; those that are no numbers are left out.
@@ -276,7 +278,7 @@ class Scene:
         vertex_count: int | None = None, index_offset: int = 0, index_count: int | None = None,
         show_wireframe: bool = False,
     ) -> None:  # fmt: skip
-        """Triangles.
+        """Adds triangles to the scene.
 
         Args:
             vertices: vectors of 3.
@@ -316,7 +318,7 @@ class Scene:
         instance_offset: int = 0, instance_count: int | None = None,
         show_wireframe: bool = False,
     ) -> None:  # fmt: skip
-        """A mesh at many places.
+        """Adds a mesh at many places to the scene.
 
         Args:
             transforms: a matrix of 4×4 for each place, which acts on columns.
@@ -346,7 +348,7 @@ class Scene:
         per_vertex_color: Any = None, vertex_offset: int = 0, vertex_count: int | None = None,
         index_offset: int = 0, index_count: int | None = None,
     ) -> None:  # fmt: skip
-        """Lines, which no light changes.
+        """Adds lines, which no light changes, to the scene.
 
         Args:
             vertices: vectors of 3.
@@ -431,7 +433,8 @@ class Canvas:
         """Draws a scene as its camera sees it, and empties it."""
         camera, things = scene._camera, scene._things
         ambient, lights = scene._ambient, scene._lights
-        # As the camera is now; the size of the window is known when the frame is drawn.
+        # The camera is copied as it is now; the size of the window is known only when the frame is
+        # drawn.
         eye, near, square = camera.get_view_matrix(), camera._near, camera.get_projection_matrix(1)
         is_flat = camera._mode == ProjectionMode.Orthogonal
         if ambient is None and lights:
@@ -457,7 +460,7 @@ class Gui:
         self._panels = panels
 
     def begin(self, name: str, x: float, y: float, width: float, height: float) -> None:
-        """Begins a panel with a title."""
+        """Begins a panel of widgets with a title."""
         across, down = self._panels.size
         self._panels.begin(name, x * across, y * down, width * across, height * down)
 
@@ -469,7 +472,7 @@ class Gui:
     def sub_window(
         self, name: str, x: float, y: float, width: float, height: float
     ) -> Iterator[Gui]:
-        """A panel whose widgets the block adds."""
+        """Opens a panel to which the widgets of the `with` block belong."""
         self.begin(name, x, y, width, height)
         try:
             yield self
@@ -485,23 +488,23 @@ class Gui:
             self._panels.text(text, (red, green, blue, 255))
 
     def button(self, text: str) -> bool:
-        """Whether the button was clicked since the last frame."""
+        """Adds a button; returns whether it was clicked since the last frame."""
         return self._panels.button(text)
 
     def checkbox(self, text: str, old_value: bool) -> bool:
-        """The state of a box that clicks change."""
+        """Adds a check box; returns its state, which clicks change."""
         return self._panels.checkbox(text, old_value)
 
     def slider_float(self, text: str, old_value: float, minimum: float, maximum: float) -> float:
-        """The number that the mouse has chosen, or the old one."""
+        """Adds a slider; returns the number that the mouse has chosen, or the old one."""
         return self._panels.slider(text, old_value, minimum, maximum)
 
     def slider_int(self, text: str, old_value: int, minimum: int, maximum: int) -> int:
-        """The integer that the mouse has chosen, or the old one."""
+        """Adds a slider; returns the integer that the mouse has chosen, or the old one."""
         return round(self._panels.slider(text, old_value, minimum, maximum, ".0f"))
 
     def color_edit_3(self, text: str, old_value: Any) -> Color:
-        """A colour by three sliders."""
+        """Adds three sliders for a colour; returns the colour."""
         return self._panels.color(text, old_value)
 
 
@@ -542,15 +545,15 @@ class Window(FrameLoop):
         self._is_drawn = -1  # the number of commands that the frame has
 
     def get_canvas(self) -> Canvas:
-        """The canvas of its frames."""
+        """Returns the canvas on which the window's frames are drawn."""
         return self._canvas
 
     def get_scene(self) -> Scene:
-        """A scene of its own."""
+        """Returns the scene of this window."""
         return self._scene
 
     def get_gui(self) -> Gui:
-        """Its panels of widgets."""
+        """Returns the panels of widgets in this window."""
         return self._gui
 
     @property
@@ -559,7 +562,7 @@ class Window(FrameLoop):
         return self._gui
 
     def get_window_shape(self) -> tuple[int, int]:
-        """Width and height in pixels, as the user has resized it."""
+        """Returns width and height in pixels, as the user has resized the window."""
         if self._window is not None and self._window.is_open:
             return self._window.pixels
         return self.res
@@ -599,13 +602,13 @@ class Window(FrameLoop):
             return self._renderer.read_depth() if depth else self._renderer.read()
 
     def picture(self) -> Any:
-        """The frame as a Pillow image."""
+        """Returns the frame as a Pillow image."""
         from PIL import Image
 
         return Image.fromarray(np.ascontiguousarray(self._read()[::-1, :, :3]))
 
     def save_image(self, filename: Any) -> None:
-        """Writes the frame to a file, before `show()` ends it."""
+        """Writes the frame to a file; must be called before `show()` ends the frame."""
         save_picture(self.picture(), filename)
 
     def get_image_buffer_as_numpy(self) -> np.ndarray:

@@ -27,9 +27,9 @@ from ._impl.drawing.window import Window
 
 
 class Frames:
-    """Files in the place of a window."""
+    """Writes frames to files, in the place of a window."""
 
-    # A folder of files is never closed, and has no keyboard.
+    # A folder of files is never closed by a user, and has no keyboard.
     is_open = None
     held: frozenset[str] = frozenset()
     cursor = (0.5, 0.5)
@@ -64,7 +64,7 @@ class Frames:
 
 
 def fail(message: str) -> NoReturn:
-    """Ends the program with one line."""
+    """Prints one line as the error, and ends the program."""
     print(f"view: {message}", file=sys.stderr)
     sys.exit(2)
 
@@ -75,7 +75,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _open(title: str) -> tuple[Window | None, str]:
-    """A window, or why there is none."""
+    """Opens a window; returns it, or None and the reason why there is none."""
     try:
         return Window(title), ""
     except NoWindow as reason:

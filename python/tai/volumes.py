@@ -43,7 +43,7 @@ def innermost(field: Field) -> SNode:
 
 
 def coordinates(field: Field) -> np.ndarray:
-    """The indices of the active elements.
+    """Returns the indices of the active elements of a field.
 
     Returns:
         int64 of shape (number of active elements, dimensions), cells in the order of memory.
@@ -52,7 +52,7 @@ def coordinates(field: Field) -> np.ndarray:
     cells = level.active_cells()
     shape, own = field.shape, level.axis_extents()
     axes = list(field._placed_node().axis_extents())
-    # An active cell is a box of elements.
+    # Each active cell is a box of elements.
     spans = [n // own.get(axis, 1) for axis, n in zip(axes, shape, strict=True)]
     first = np.zeros((len(cells), len(axes)), np.int64)
     for column, axis in enumerate(own):
@@ -121,7 +121,7 @@ def write(field: Field, where: Any, values: Any) -> None:
 
 
 def to_numpy(field: Field) -> tuple[np.ndarray, np.ndarray]:
-    """The active elements of a field.
+    """Returns the coordinates of the active elements of a field, and their values.
 
     Returns:
         Coordinates, int64 of shape (n, dimensions), and values of shape (n, *element shape).
@@ -315,7 +315,7 @@ def _load_vdb(path: Any, fields: dict[str, Field]) -> dict[str, tuple]:
             )
         where, values = [], []
         for item in grids[name].citerOnValues():
-            # A tile stands for a box of voxels.
+            # A tile of OpenVDB stands for a box of voxels.
             ranges = (np.arange(a, b + 1) for a, b in zip(item.min, item.max, strict=True))
             box = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 3)
             where.append(box)

@@ -14,7 +14,7 @@ _PACKAGE = __package__.partition(".")[0]
 
 
 class _Loader:
-    """Gives a module that exists under its other name."""
+    """An import loader that gives an existing module under its other name."""
 
     def __init__(self, module: ModuleType):
         self.module, self.spec = module, module.__spec__
@@ -27,7 +27,7 @@ class _Loader:
 
 
 class _Finder:
-    """Finds `other.module` where `other` is another name of this package."""
+    """An import finder for `other.module`, where `other` is another name of this package."""
 
     @staticmethod
     def find_spec(name: str, path: Any = None, target: Any = None) -> Any:

@@ -15,7 +15,7 @@ class AutodiffMode(Enum):
 
 
 class SNodeGradType(Enum):
-    """The contents of a place: values, or derivatives."""
+    """The contents of a place in a tree: values, or derivatives."""
 
     PRIMAL = 0
     ADJOINT = 1

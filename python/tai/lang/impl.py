@@ -25,7 +25,7 @@ class Runtime:
         return not open_root(self.prog).children
 
     def materialize(self) -> None:
-        """Allocates the fields that were placed."""
+        """Allocates the fields that were placed in the layout."""
         materialize(self.prog, sys._getframe(1).f_globals)
 
     def sync(self) -> None:

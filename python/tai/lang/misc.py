@@ -31,7 +31,7 @@ def is_arch_supported(arch: Arch, use_gles: bool = False) -> bool:
 
 
 def get_host_arch_list() -> list[Arch]:
-    """The targets of this machine's processor."""
+    """Returns the targets of this machine's processor."""
     return [x64]
 
 

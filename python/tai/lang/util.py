@@ -4,7 +4,7 @@ import importlib.util
 
 
 def has_pytorch() -> bool:
-    """Whether torch can be imported."""
+    """Whether the package torch can be imported."""
     return importlib.util.find_spec("torch") is not None
 
 

@@ -28,7 +28,7 @@ PLACES = (Path(__file__).resolve().parents[3] / "examples", Path.cwd() / "exampl
 
 
 def fail(message: str) -> NoReturn:
-    """Ends the program with one line."""
+    """Prints one line as the error, and ends the program."""
     print(f"paper: {' '.join(str(message).split())}", file=sys.stderr)
     sys.exit(2)
 
@@ -112,7 +112,7 @@ def _machine(arch: str) -> str:
 
 
 class _Store:
-    """The results of the experiments, a file for each."""
+    """Stores the results of the experiments, in a file for each."""
 
     def __init__(self, folder: Path, settings: dict[str, str]):
         self.folder, self.settings = folder / "results", settings
@@ -148,7 +148,7 @@ class _Store:
 
 
 def _perform(lab: Lab, experiment: Experiment) -> Result:
-    """Runs an experiment; an error becomes its result."""
+    """Runs an experiment; an error in it becomes its result."""
     result = lab.begin(experiment.name)
     begin = time.monotonic()
     try:

@@ -69,7 +69,7 @@ def toi(lab: Lab) -> None:
 
 
 def toi_curves(lab: Lab) -> None:
-    """Descent with and without time of impact, over several seeds."""
+    """Compares descent with and without time of impact, over several seeds."""
     seeds = lab.pick(1, 5, 5)
     scenes = [
         ("mass_spring", 1, lab.pick(1, 20, 100), -0.215316),

@@ -31,7 +31,7 @@ class Failed(Exception):
 
 
 class LeftOut(Exception):
-    """An experiment that this machine lacks something for."""
+    """Raised for an experiment for which this machine lacks something."""
 
 
 @dataclass
@@ -50,7 +50,7 @@ class Result:
 
 @dataclass
 class Run:
-    """One run of an example."""
+    """One run of an example program, with its output."""
 
     name: str
     folder: Path
@@ -58,7 +58,7 @@ class Run:
     tapes: list[tuple[float, float]]
 
     def table(self, what: str = "losses") -> dict[str, list[float]]:
-        """The columns of a file that the example wrote."""
+        """Returns the columns of a table that the example wrote."""
         path = self.folder / f"{self.name}.{what}.csv"
         with path.open(newline="") as file:
             names, *rows = csv.reader(file)
@@ -70,7 +70,7 @@ class Run:
 
     @property
     def seconds(self) -> list[float]:
-        """The time of each iteration; the first one compiles."""
+        """The time of each iteration; the first iteration compiles."""
         return self.table()["seconds"]
 
     def find(self, pattern: str) -> list[float]:
@@ -112,7 +112,7 @@ class Lab:
         return self.result
 
     def pick(self, *values: _T) -> _T:
-        """One of three values, by the level."""
+        """Returns one of three values, by the level of the experiments (short to full)."""
         return values[LEVELS.index(self.level)]
 
     # Programs
@@ -200,7 +200,7 @@ class Lab:
         self.result.blocks.append(["picture", f"pictures/{name}", caption])
 
     def plot(self, what: str, curves: dict[str, Any], caption: str, **options: Any) -> None:
-        """Curves in the look of the examples."""
+        """Plots curves in the style of the examples."""
         folder = self.out / "runs" / self.result.name
         folder.mkdir(parents=True, exist_ok=True)
         args = Namespace(out=folder, name="plot", picture=True)
@@ -218,7 +218,7 @@ class Lab:
 
 
 def show(cell: Any) -> str:
-    """A cell of a table."""
+    """Formats a cell of a table."""
     return f"{cell:.6g}" if isinstance(cell, float) else str(cell)
 
 

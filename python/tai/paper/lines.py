@@ -15,7 +15,7 @@ import tokenize
 from pathlib import Path
 from typing import Any
 
-# Essential lines in the paper: tables 1 and 2.
+# The numbers of essential lines that the paper gives in tables 1 and 2.
 PAPER = {"diffmpm": 110, "smoke": 75}
 SILENT = {
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
@@ -41,7 +41,7 @@ def _span(node: ast.stmt | ast.expr) -> set[int]:
 
 
 def names_of(node: ast.AST) -> set[str]:
-    """Names of functions, methods and values somewhere in here."""
+    """Returns the names of functions, methods and values in a syntax tree."""
     found = set()
     for part in ast.walk(node):
         if isinstance(part, ast.Name):
@@ -52,7 +52,7 @@ def names_of(node: ast.AST) -> set[str]:
 
 
 def text_of(nodes: list) -> str:
-    """The source of some nodes."""
+    """Returns the source text of some syntax nodes."""
     return " ".join(map(ast.unparse, nodes))
 
 
@@ -98,7 +98,7 @@ def makes_field(node: ast.AST) -> bool:
 
 
 def essential(source: str) -> set[int]:
-    """The lines that are the simulator."""
+    """Returns the lines of a program that belong to the simulator."""
     tree = ast.parse(source)
     functions = {n.name: n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)}
     waiting = list(recorded(tree))

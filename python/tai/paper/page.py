@@ -20,7 +20,7 @@ Row = tuple[str, str, str, Result]  # name, where in the paper, title, result
 
 
 def verdict(result: Result) -> str:
-    """The outcome of an experiment, in a cell of a table."""
+    """Formats the outcome of an experiment for a cell of a table."""
     if result.status == "ok":
         return "as expected"
     word = "FAILED" if result.status == "failed" else "left out"
@@ -62,7 +62,7 @@ def _markdown(kind: str, *content: Any) -> str:
 
 
 def markdown(head: Sequence[str], rows: Sequence[Row]) -> str:
-    """The page for a reader of the repository."""
+    """Makes the page of results for a reader of the repository."""
     parts = ["# The paper's experiments", *head, *(_markdown(*piece) for piece in _pieces(rows))]
     return "\n\n".join(parts) + "\n"
 
@@ -98,7 +98,7 @@ def _html(folder: Path, kind: str, *content: Any) -> str:
 
 
 def hypertext(head: Sequence[str], rows: Sequence[Row], folder: Path) -> str:
-    """The page as one file, with its pictures in it."""
+    """Makes the page of results as one HTML file, with its pictures in it."""
     parts = ["<h1>The paper's experiments</h1>", *(f"<p>{_inline(text)}</p>" for text in head)]
     parts += [_html(folder, *piece) for piece in _pieces(rows)]
     title = "<title>The paper's experiments</title>"

@@ -54,7 +54,7 @@ def _one(
     lab: Lab, name: str, *options: Any, iterations: int, known: Known, rel: float,
     log: bool = False, pictures: bool = False, what: str = "",
 ) -> Run:  # fmt: skip
-    """An experiment of a single descent."""
+    """Makes an experiment that consists of a single descent."""
     run = _descent(
         lab, name, *options, iterations=iterations, known=known, rel=rel, pictures=pictures
     )

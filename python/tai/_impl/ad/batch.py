@@ -22,7 +22,7 @@ from .tape import Tape
 
 
 class Batch:
-    """Many worlds with one program; see `ti.batch`.
+    """A program that runs many independent worlds at once; see `ti.batch`.
 
     Attributes:
         size: how many worlds there are.
@@ -57,7 +57,7 @@ class Batch:
         self, dtype: Any, shape: Any = (), name: str | None = "", needs_grad: bool = False,
         needs_dual: bool = False,
     ) -> Any:  # fmt: skip
-        """A field with a part for each world.
+        """Makes a field that has separate values for each world.
 
         In Python its first index is that of the world; kernels of the batch leave it away.
 
@@ -151,7 +151,7 @@ class Batch:
             start.copy_from(field)
 
     def reset(self, which: Any = None) -> None:
-        """Brings worlds back to the contents that `save` has kept.
+        """Brings the fields of worlds back to the contents that `save` has kept.
 
         Args:
             which: a field or an array with a number for each world: those with another one than 0
@@ -188,7 +188,7 @@ class Batch:
         return self._chosen
 
     def seed(self, seeds: Any) -> None:
-        """Seeds the random numbers of each world, by `random`.
+        """Seeds the random number generator of each world, which `random` uses.
 
         Args:
             seeds: a whole number, from which those of the worlds are derived; or one for each.
@@ -232,7 +232,7 @@ class Batch:
     # Gradients
 
     def tape(self, loss: Any, weights: Any = None, **options: Any) -> Tape:
-        """A tape whose loss is one number in each world.
+        """Opens a tape whose loss is one number in each world.
 
         The gradient of a field holds, in the part of each world, the derivative of the loss of that
         world. The loss is set to zero as the block is entered, and as it is replayed.
@@ -255,7 +255,7 @@ class Batch:
 
 
 class _BatchTape(Tape):
-    """A tape that begins with losses of zero."""
+    """A tape of a batch, which sets the losses to zero when it begins."""
 
     def _enter(self) -> Tape:
         super()._enter()
@@ -264,7 +264,7 @@ class _BatchTape(Tape):
 
 
 def _spread(seed: int, size: int) -> np.ndarray:
-    """A seed for each world from one number."""
+    """Derives a seed for each of `size` worlds from one number."""
     return np.random.SeedSequence(seed).generate_state(size, np.uint32)
 
 

@@ -24,7 +24,7 @@ def check(
     forward_tolerance: float | None = None,
     bisect: bool = True,
 ) -> CheckResult:
-    """Checks gradients against forward mode and against finite differences.
+    """Checks the gradients of a program against forward mode and against finite differences.
 
     ```python
     result = ti.ad.check(simulate, loss=loss, wrt=[x])

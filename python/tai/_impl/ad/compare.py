@@ -28,7 +28,7 @@ READ, WRITE, ACCUMULATE = 0, 1, 2
 
 
 class GradientCheckError(TaiAutodiffError, AssertionError):
-    """A gradient that does not agree; `result` says where."""
+    """Raised where a gradient disagrees with finite differences; `result` says where."""
 
     result: CheckResult
 
@@ -50,12 +50,12 @@ class FieldCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether it was checked, and agrees."""
+        """Whether the gradient of this field was checked, and agrees."""
         return bool(self.probes) and all(probe.passed for probe in self.probes)
 
     @property
     def is_flat(self) -> bool:
-        """Whether nothing that was seen depends on it, so that 0 was compared with 0."""
+        """Whether no checked output depends on the field, so that 0 was compared with 0."""
         return all(probe.is_flat for probe in self.probes)
 
     @property
@@ -74,7 +74,7 @@ class FieldCheck:
 
     @property
     def best_step(self) -> float | None:
-        """The step of the best difference along the worst direction."""
+        """The step of the most accurate finite difference along the worst direction."""
         return self.worst.step if self.probes else None
 
     @property
@@ -97,7 +97,7 @@ class FieldCheck:
 
 @dataclass
 class Culprit:
-    """The first record of a tape whose own gradient is wrong."""
+    """The first record of a tape whose own gradient is wrong: the cause of a failed check."""
 
     record: int
     kernel: str
@@ -138,7 +138,7 @@ class CheckResult:
 
     @property
     def error(self) -> float:
-        """The greatest relative error of all fields."""
+        """The greatest relative error over all fields."""
         errors = [f.error for f in self.fields]
         return float("nan") if any(np.isnan(errors)) else max(errors, default=0.0)
 
@@ -241,7 +241,7 @@ class Recording(native.WithBlock):
 
 
 class Accesses:
-    """The places that a tape reads, and those that it changes.
+    """The fields and elements that a tape reads, and those that it changes.
 
     Attributes:
         known: the fields with gradients, by symbol.
@@ -277,7 +277,7 @@ class Accesses:
             where = here[WRITE if kind == WRITE else READ].setdefault(symbol, empty)
             where[elements(f, dimension, index)] = True
         for symbol, read in here[READ].items():
-            # Stored by the same kernel: before or after, who knows.
+            # The same kernel stores the element and reads it, and which comes first is not known.
             none = np.zeros_like(read)
             first = read & ~self._written.get(symbol, none)
             _join(self.masks, symbol, read)
@@ -339,7 +339,7 @@ class Program:
 
     def record(self) -> None:
         """Runs it once on a tape, and finds the places that it reads and changes."""
-        # Before it is limited, it has only just been taken.
+        # If it is not limited, the snapshot has only just been taken.
         if self.start.is_limited:
             self.start.restore(only_primal=True)
         with Recording(self.loss) as core:
@@ -360,7 +360,7 @@ class Program:
         return inputs, list(found.changed.values())
 
     def values(self) -> list[np.ndarray]:
-        """Runs it from the current values of the fields; the outputs."""
+        """Runs the program from the current values of the fields; returns the outputs."""
         if self.loss is not None:
             self.loss.core.fill(0.0)
         self.run()
@@ -388,12 +388,15 @@ class Program:
             for f, seed in zip(self.outputs, seeds, strict=True):
                 _seed(f, seed)
         core.backward()
-        # Said once, and so here: they are why a gradient disagrees.
+        # The warnings of the sweep are kept, because lost derivatives explain why a gradient
+        # disagrees.
         self.lost += [line for line in core.warnings() if "the derivative ends there" in line]
         return {f.symbol: _gradient(f) for f, _ in self.inputs}
 
     def is_input(self, f: Any, mask: Any) -> bool:
-        """Whether the initial value of a field matters at all, if the program writes it."""
+        """Whether the initial value of a field that the program writes can influence the
+        outputs.
+        """
         if f.symbol not in self.written:
             return True
         value = self.at(f, np.where(mask, 0.37, 0.0))
@@ -407,7 +410,7 @@ class Program:
 
 
 def elements(f: Any, dimension: int, index: int) -> tuple:
-    """The elements of a field that an access touches."""
+    """Returns the index of the elements of a field that an access touches."""
     if dimension < 0 or not 0 <= index < f.shape[dimension]:
         return (...,)
     return (slice(None),) * dimension + (index,)
@@ -426,8 +429,8 @@ def probe_program(
     methods: Sequence[str] = ("forward", "differences"),
     quick: bool = False,
 ) -> list[FieldCheck]:
-    """Compares the gradients of a program that has been recorded."""
-    # The value of an inactive cell is a constant.
+    """Compares the gradients of a recorded program with finite differences."""
+    # The value of an inactive cell is a constant, so the inputs are the active elements.
     program.start.restore(only_primal=True)
     if wrt is not None:
         program.inputs = [(p, active_elements(p)) for f in wrt for p in storage(f)]
@@ -496,7 +499,7 @@ def _probe_field(
 def forward_derivative(
     program: Program, f: Any, along: np.ndarray, seeds: list[np.ndarray]
 ) -> float | None:
-    """The derivative of the weighted outputs by forward mode.
+    """Returns the derivative of the weighted outputs, computed by forward mode.
 
     Returns None if a field has a gradient and no dual, since a tangent would end there.
     """
@@ -542,7 +545,7 @@ def check_program(
 
 
 def _why_unchecked(program: Program, checks: list[FieldCheck]) -> str | None:
-    """Why a check has compared nothing, or None if it has."""
+    """Returns why a check has compared nothing, or None if it has compared something."""
     if not checks:
         if program.overwritten:
             return "each field with a gradient that it reads is overwritten before it is read"
@@ -570,32 +573,32 @@ def as_fields(wanted: Any, what: str) -> list[Any] | None:
 
 
 def _adds_in_any_order() -> bool:
-    """Whether sums of floats may differ in their last bits from run to run."""
+    """Whether sums of floats may differ in their last bits from one run to the next."""
     options = state.program.options
     return options.arch == "cuda" and not options.deterministic
 
 
 def _are_close(a: Any, b: Any, tolerance: float) -> bool:
-    """Whether two arrays agree; next to the largest number where sums are in any order."""
+    """Whether two arrays agree; if sums are in any order, relative to the largest number."""
     largest = np.max(np.abs(a[np.isfinite(a)]), initial=0.0) if _adds_in_any_order() else 0.0
     atol = max(1e-8, tolerance * float(largest))
     return np.allclose(a, b, rtol=tolerance, atol=atol, equal_nan=True)
 
 
 def _are_same(a: Any, b: Any, doubles: bool) -> bool:
-    """Whether two results are those of the same computation."""
+    """Whether two results can come from two runs of the same computation."""
     if _adds_in_any_order() and a.dtype.kind == "f":
         return _are_close(a, b, 1e-13 if doubles else 1e-5)
     return a.tobytes() == b.tobytes()
 
 
 def check_start(program: Program, recorded: float | None) -> None:
-    """Refuses programs that cannot be run again from the same state."""
+    """Refuses programs that do not give the same result when they run again from the same state."""
     program.start.restore(only_primal=True)
     first = program.values()
     program.start.restore(only_primal=True)
     second = program.values()
-    # Sums in any order leave their last bits to chance.
+    # If sums are in any order, their last bits depend on chance.
     loose = _adds_in_any_order() and any(f.dtype.name != "f64" for f in program.outputs)
     for a, b in zip(first, second, strict=True):
         if not _are_close(a, b, 1e-9 if a.dtype == np.float64 and not loose else 1e-4):
@@ -661,7 +664,7 @@ class GradCheck:
                 )
 
     def begin(self, loss: Any) -> None:
-        """The tape is entered: keeps the state."""
+        """Keeps the state of all fields when the tape is entered."""
         if loss.dtype.name != "f64":
             raise TaiAutodiffError(
                 f"grad_check needs f64, but the loss '{loss.name}' is of type {loss.dtype}"

@@ -16,7 +16,7 @@ from .precision import own_fields, owner_of
 from .seeds import number_of
 from .snapshot import Snapshot
 
-# Random directions in the estimate for the gradient.
+# The number of random directions by which the condition of the gradient is estimated.
 _DIRECTIONS = 4
 
 

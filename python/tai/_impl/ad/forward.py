@@ -78,7 +78,7 @@ def run_forward(
 def hessian_product(
     function: Callable[[], Any] | Any, loss: Any, pairs: Sequence[tuple[Any, Any]]
 ) -> list[np.ndarray]:
-    """The gradient's derivative along the tangents of `pairs`: see `hvp`."""
+    """Returns the derivative of the gradient along the tangents of `pairs`: see `hvp`."""
 
     def run() -> None:
         if isinstance(function, Tape):
@@ -95,7 +95,7 @@ def _as_list(value: Any) -> list[Any]:
 
 
 def _pair(inputs: Any, directions: Any) -> list[tuple[Any, Any]]:
-    """One direction for one field, or a list for a list."""
+    """Pairs each input field with its direction; both are one object or a list."""
     if not isinstance(inputs, (list, tuple)):
         return [(inputs, directions)]
     if not isinstance(directions, (list, tuple)) or len(directions) != len(inputs):
@@ -160,7 +160,7 @@ def hvp(function: Callable[[], Any] | Any, loss: Any, inputs: Any, directions: A
 
 
 class FwdMode(ForwardMode):
-    """Runs the kernels of its block in forward mode.
+    """The context manager that runs the kernels of its block in forward mode.
 
     ```python
     with ti.ad.FwdMode(loss=loss, param=x, seed=[1.0, 0.0, 0.0]):
@@ -200,12 +200,12 @@ class FwdMode(ForwardMode):
                     f"pass the direction of the derivative: seed=[…], of shape {wanted}",
                 )
             seed = 1.0
-        # A number is meant for the only element, whatever the shape.
+        # A single number is the seed of the only element, whatever the shape of the field.
         if np.ndim(seed) == 0 and int(np.prod(param.shape + param.element_shape, dtype=int)) == 1:
             seed = [seed]
         self.seed = check_tangent(param, seed)
         self.clear_gradients = clear_gradients
-        # Whether the dual of the parameter is to be zero again.
+        # Whether the tangents of the parameter were set, and are to be set to zero again.
         self._is_seeded = False
 
     def _enter(self) -> FwdMode:  # type: ignore[override]

@@ -52,7 +52,7 @@ class HealthRow:
 
 @dataclass
 class KernelHealth:
-    """All replays of one kernel.
+    """The findings about all adjoint launches of one kernel in a reverse sweep.
 
     Attributes:
         replays: how many records were replayed.
@@ -74,7 +74,7 @@ class KernelHealth:
 
 @dataclass
 class Finding:
-    """One thing that is wrong.
+    """One NaN, infinity or other problem that the report has found.
 
     Attributes:
         kind: `nan`, `overflow`, `growth`, `flat` or `cancellation`.
@@ -112,11 +112,11 @@ class HealthReport:
 
     @property
     def first_nan(self) -> Finding | None:
-        """The first NaN or infinity in the sweep."""
+        """The first NaN or infinity that the reverse sweep has produced."""
         return next((f for f in self.findings if f.kind in ("nan", "overflow")), None)
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as plain data."""
+        """Returns the report as dictionaries, lists and numbers."""
         return asdict(self)
 
     def __str__(self) -> str:
@@ -317,7 +317,7 @@ def _find_bad_start(core: Any) -> str | None:
 
 
 def _bad_values(core: Any, record: int) -> list[str]:
-    """Fields of a record that hold NaN or infinity now."""
+    """Returns the fields of a record that hold NaN or infinity at present."""
     known = differentiable_fields()
     found = []
     for symbol in dict.fromkeys(a[0] for a in core.accesses(record)):
@@ -388,8 +388,8 @@ def _find_flat(report: HealthReport, found: Accesses) -> None:
     alive = {row.symbol for row in report.rows if row.norm or row.nans or row.infs}
     for symbol, reads in found.masks.items():
         f = found.known[symbol]
-        # Where it may be stored before it is read, only elements that no adjoint ever reached are
-        # flat.
+        # If an element may be stored before it is read, it counts as flat only if no adjoint
+        # reached its field.
         mask = found.sure[symbol] if symbol in alive else reads
         if not mask.any():
             continue

@@ -45,7 +45,7 @@ def _shape(field: Any) -> tuple[int, ...]:
 
 
 class _Numbers:
-    """The numbers of some fields, one after the other."""
+    """The numbers of several fields as one vector, one field after the other."""
 
     def __init__(self, fields: Sequence[Any]):
         self.fields = fields
@@ -236,7 +236,7 @@ def _check_pattern(
 
 
 def _choose(products: _Products, mode: str | None, forward: int, reverse: int) -> bool:
-    """Whether to take products of the forward mode.
+    """Whether the matrix is computed from products of forward mode, not of reverse mode.
 
     Args:
         forward, reverse: the numbers of products that the modes need.
@@ -266,7 +266,7 @@ def _choose(products: _Products, mode: str | None, forward: int, reverse: int) -
 def _blocks(
     matrix: np.ndarray, rows: _Numbers, columns: _Numbers, outputs: Any, inputs: Any
 ) -> Any:
-    """A whole matrix as arrays with the shapes of the fields."""
+    """Divides a whole matrix into arrays with the shapes of the fields."""
     found = []
     for strip, row_shape in zip(np.split(matrix, rows.ends[:-1]), rows.shapes, strict=True):
         parts = np.split(strip, columns.ends[:-1], axis=1)
@@ -278,7 +278,7 @@ def _blocks(
 def jacobian(
     function: Function, inputs: Any, outputs: Any, pattern: Any = None, mode: str | None = None
 ) -> Any:
-    """The Jacobian matrix of a program.
+    """Computes the Jacobian matrix of a program.
 
     ```python
     J = ti.ad.jacobian(simulate, x, y)  # J[i, j] is the derivative of y[i] by x[j]

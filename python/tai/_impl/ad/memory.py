@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 
 from ...errors import TaiRuntimeTypeError
 
-# TaiCheckpoint of the C API.
+# The numbers of the checkpoint policies, as in TaiCheckpoint of the C API.
 _KINDS = {"periodic": 1, "binomial": 2, "mixed": 3}
 
-# Enough for six thousand records with three repetitions each.
+# The default number of snapshots: enough for six thousand records with three repetitions each.
 _BINOMIAL_SNAPSHOTS = 32
 
 
 class TapeStats(NamedTuple):
-    """The memory that a tape uses, and its recomputation.
+    """The memory that a tape uses, and the amount of recomputation.
 
     Attributes:
         saved_bytes: current size of saved overwritten values.

@@ -27,7 +27,7 @@ from .seeds import parts_of
 
 
 def check_dual(field: Any, what: str) -> Any:
-    """The field, if it has a dual in memory.
+    """Returns the field if memory holds its dual (its tangents); raises an error otherwise.
 
     Raises:
         TaiRuntimeTypeError: it is not a field.
@@ -49,7 +49,7 @@ def check_dual(field: Any, what: str) -> Any:
 
 
 def check_tangent(field: Any, tangent: Any) -> np.ndarray:
-    """A tangent as an array of shape `field.shape + field.element_shape`.
+    """Returns a tangent as an array of shape `field.shape + field.element_shape`.
 
     Raises:
         TaiRuntimeTypeError: it is not made of numbers, or has another shape.
@@ -61,7 +61,7 @@ def check_tangent(field: Any, tangent: Any) -> np.ndarray:
         raise TaiRuntimeTypeError(
             f"the tangent of field '{field.name}' must be made of numbers, but got {tangent!r}"
         ) from None
-    # Taichi takes a list of all components in order.
+    # As in Taichi, a flat list of all components in order is accepted, too.
     if array.shape != wanted and array.shape != (int(np.prod(wanted, dtype=int)),):
         raise TaiRuntimeTypeError(
             f"the tangent of field '{field.name}' must have shape {wanted}, but got {array.shape}"
@@ -80,12 +80,12 @@ one_thread = Lock()
 
 
 def _cores_of(fields: Sequence[Any]) -> list[Any]:
-    """The places of fields, in C++."""
+    """Returns the C++ objects of the scalar fields that make up `fields`."""
     return [part.core for field in fields for part, _ in parts_of(field)]
 
 
 def follow(inputs: Sequence[Any], all_others: bool) -> None:
-    """Follows the tangents of fields, to say where they get lost."""
+    """Follows the tangents of fields, so that warnings can say where tangents get lost."""
     program = get_program()
     if all_others:
         duals = (f for f in snapshot(program.fields.values()) if f.role == "dual")
@@ -104,7 +104,7 @@ def warn_of_lost(lines: list[str]) -> None:
 
 
 class ForwardMode(native.WithBlock):
-    """Launches kernels with their tangents while its block runs.
+    """Launches kernels with their tangents while its `with` block runs.
 
     Another thread that wants that waits for the end of the block.
 
@@ -201,6 +201,6 @@ def derivatives_of_gradients(
 
 
 def caller_names() -> dict[str, Any]:
-    """The variables of the program that called into the package."""
+    """Returns the local and global variables of the program that called into the package."""
     frame = calling_frame()
     return {} if frame is None else frame.f_globals

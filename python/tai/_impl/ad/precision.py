@@ -53,7 +53,7 @@ class FieldPrecision:
 
 @dataclass
 class LinePrecision:
-    """The effect on the loss of the roundings of one line.
+    """The effect on the loss of all roundings in one line of the program.
 
     Attributes:
         filename, lineno, text: of the line.
@@ -118,7 +118,7 @@ class PrecisionReport:
 
     @property
     def relative(self) -> float:
-        """`expected` next to the loss."""
+        """The expected error divided by the magnitude of the loss."""
         return self.expected / abs(self.loss) if self.loss else math.inf
 
     def storable(self, error: float | None = None) -> dict[str, str]:
@@ -132,7 +132,7 @@ class PrecisionReport:
             their errors are expected to stay below half of the target.
         """
         room = (error or self.target) * abs(self.loss) / 2
-        # If all fields are f64, the arithmetic rounds less than the f32 roundings of `expected`.
+        # If all fields are f64, the arithmetic rounds less than the estimate of f32 roundings says.
         spent = 0.0 if all(f.dtype == "f64" for f in self.fields) else self.expected**2
         chosen: dict[str, str] = {}
         kinds = [name for name in ("bf16", "f16", "f32") if hasattr(dtypes, name)]
@@ -157,7 +157,7 @@ class PrecisionReport:
         return chosen
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as plain data."""
+        """Returns the report as dictionaries, lists and numbers."""
         return asdict(self)
 
     def __str__(self) -> str:
@@ -226,7 +226,7 @@ def find_not_finite() -> dict[str, str]:
 
 
 def own_fields() -> list[Any]:
-    """The fields of floats that the user made."""
+    """Returns the fields of floats that the user made, without gradients and duals."""
     program = get_program()
     internal = {pool.field.symbol for pool in program.pools}
     if program.probes is not None:
@@ -296,7 +296,7 @@ def _solves(infos: Sequence[Any]) -> list[SolvePrecision]:
     for (filename, lineno, solver), group in groups.items():
         errors = [info.backward_error for info in group]
         worst = max((e for e in errors if not math.isnan(e)), default=math.nan)
-        # A solve that no gradient has passed has no effect.
+        # A solver call that no gradient has passed has no effect on the loss.
         effects = [0.0 if math.isnan(info.effect) else info.effect for info in group]
         found.append(
             SolvePrecision(filename, lineno, solver, worst, math.fsum(effects), len(group))

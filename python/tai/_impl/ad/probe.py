@@ -32,7 +32,7 @@ _FLOOR = {"f64": 1e-4, "f32": 1e-2}
 
 @dataclass
 class Rung:
-    """Differences at one step.
+    """The finite differences at one step size, a rung of the ladder of steps.
 
     Attributes:
         step: distance from the point to either side.
@@ -52,7 +52,7 @@ class Rung:
 
 @dataclass
 class Probe:
-    """One comparison along one direction.
+    """The comparison of a derivative with finite differences along one direction.
 
     Attributes:
         method: `forward` or `differences`.
@@ -86,14 +86,14 @@ class Probe:
 
     @property
     def is_flat(self) -> bool:
-        """Whether all derivatives are exactly 0, by every step."""
+        """Whether the derivative and all finite differences are exactly 0, for every step."""
         return self.reverse == 0 == self.expected and all(
             rung.left == 0 == rung.right for rung in self.ladder
         )
 
     @property
     def between(self) -> bool:
-        """Whether the gradient lies between the slopes of the two sides."""
+        """Whether the gradient lies between the one-sided slopes on the two sides."""
         if not self.ladder:
             return False
         rung = _finest(self.ladder)
@@ -102,7 +102,7 @@ class Probe:
         return low - slack <= self.reverse <= high + slack
 
     def show(self) -> list[str]:
-        """The ladder as lines of text."""
+        """Returns the ladder of step sizes as lines of text."""
         lines = [
             "      step        central           improved           left           right  error"
         ]
@@ -142,7 +142,7 @@ def climb(
     tolerance: float | None = None,
     quick: bool = False,
 ) -> Probe:
-    """Compares a derivative with differences for a ladder of steps.
+    """Compares a derivative with finite differences for a ladder of step sizes.
 
     Args:
         value: the outputs at a signed distance from the point.
@@ -162,7 +162,7 @@ def climb(
     scale = max(scale, _FLOOR[dtype] * size) if np.isfinite(size) else scale
 
     def weigh(a: list[np.ndarray], b: list[np.ndarray]) -> float:
-        # Subtracted before they are summed: that keeps more digits.
+        # The outputs are subtracted before they are summed, which keeps more digits.
         with np.errstate(all="ignore"):
             parts = [
                 np.sum((x - y)[s != 0] * s[s != 0]) for x, y, s in zip(a, b, seeds, strict=True)

@@ -26,7 +26,7 @@ from .snapshot import Snapshot
 from .sparse import sparse_level
 
 _numbers = itertools.count()
-# The attributes of a place that belong to its memory.
+# The attributes of a field that belong to its memory and change with its type.
 _ATTRIBUTES = ("dtype", "symbol", "_core")
 
 
@@ -79,7 +79,7 @@ class Twin:
 
 
 class Version(native.WithBlock):
-    """A program with other types and modes, while the block runs.
+    """Runs a program with other types of fields and other modes while the `with` block runs.
 
     Attributes:
         key: by which its code is found, besides arguments.
@@ -96,7 +96,7 @@ class Version(native.WithBlock):
         self, modes: dict[str, Any], types: Iterable[tuple[Any, Any]] = (), is_plain: bool = False
     ):
         self.modes = modes
-        # Without types and modes of its own it has the code of the program.
+        # A version without types and modes of its own uses the compiled code of the program.
         self.key = () if is_plain else (("version", next(_numbers)),)
         self.twins: list[Twin] = []
         owners: dict[int, tuple[Any, Any]] = {}
@@ -115,7 +115,7 @@ class Version(native.WithBlock):
         self._is_on = False
 
     def note(self, kernel: Any, name: str) -> None:
-        """A kernel is launched, for the first time in the block."""
+        """Notes that a kernel is launched for the first time in the block."""
         self.loaded |= {f.symbol for f in kernel.fields}
         self.accumulated |= {f.symbol for f in kernel.accumulated}
         self.stored |= {f.symbol for f in (*kernel.stored, *kernel.accumulated)}
@@ -171,7 +171,7 @@ def _owners(place: Any, dtype: Any) -> list[tuple[Any, Any]]:
 
 
 def _retyped(owner: Any, dtype: Any) -> Any:
-    """Gives a field a type; returns the one that it had."""
+    """Sets the type of a field or component; returns the former type."""
     former, owner.dtype = owner.dtype, dtype
     return former
 
@@ -184,5 +184,7 @@ def _forget_launches() -> None:
 
 
 def can_change(place: Any) -> bool:
-    """Whether a place may have a twin: it is dense, and no window of another one."""
+    """Whether a field can get a copy of another type: it is dense, and no window of another
+    field.
+    """
     return sparse_level(place) is None and not getattr(place, "is_window", False)

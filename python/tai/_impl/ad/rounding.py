@@ -26,7 +26,7 @@ from ..fields.snode import FieldsBuilder, axes
 from ..values.emitter import Emitter
 from ..values.value import MatrixValue, Value, stop_gradient
 
-# Lines and fields that a program may have.
+# The most lines and fields that a program with probes may have.
 SIZE = 4096
 # Operations of `arith` and of the builder whose results are rounded; all of `math` but these are.
 _ROUNDED = {"arith.addf", "arith.subf", "arith.mulf", "arith.divf"}
@@ -97,7 +97,7 @@ class Probes:
         self.sweep = Sweep()
 
     def take(self) -> Sweep:
-        """The sweep, which is over."""
+        """Returns the results of the sweep, which has ended."""
         array = np.empty(SIZE)
         self._gradient.core.copy_to(array)
         self.sweep.sums = {key: float(array[number]) for key, number in self._places.items()}
@@ -131,7 +131,7 @@ class RoundingEmitter(Emitter):
         self._follow(builder)
 
     def _follow(self, builder: Any) -> None:
-        """Keeps the line that operations belong to."""
+        """Notes which line of the program the operations made next belong to."""
         set_location, set_file = builder.set_location, builder.set_file
 
         def at(line: int, column: int) -> None:
@@ -171,11 +171,11 @@ class RoundingEmitter(Emitter):
         return self._probed(result, operands, lambda wide: plain(op, wide, dtypes.f64, shape))
 
     def _probed(self, result: Any, operands: list[Value], widely: Callable[[Any], Any]) -> Any:
-        """The result of an operation, with the probe of its line."""
+        """Returns the result of an operation, with the probe for rounding errors of its line."""
         if all(operand.const is not None for operand in operands):
             return result
         if result.dt is dtypes.f64:
-            # The result is compared with itself, rounded to f32.
+            # The result is compared with its own value rounded to f32.
             wide = result
             narrow = self._convert(self._convert(result, dtypes.f32), dtypes.f64)
         else:
@@ -239,7 +239,7 @@ class RoundingEmitter(Emitter):
         return self._difference(total, self._difference(total, value))
 
     def _as_f16(self, value: Any, rounded: Any) -> Any:
-        """Where f16 has denormal numbers only, a multiple of the least of them."""
+        """In the range of f16's denormal numbers, rounds to a multiple of the least of them."""
         large = self._number(1.5 * 2.0 ** ({32: 23, 64: 52}[value.dt.bits] - 24), value)
         small = self._difference(self._apply("arith.addf", value, large), large)
         size = super().elementwise("math.absf", [value], value.dt)
@@ -247,7 +247,7 @@ class RoundingEmitter(Emitter):
         return self.select(is_small, small, rounded)
 
     def _with(self, value: Any, errors: list[tuple[tuple, Any]]) -> Any:
-        """value + Σ t δ, without terms that are not finite."""
+        """Returns value + Σ t δ over the rounding errors δ, without terms that are not finite."""
         for key, error in errors:
             error = stop_gradient(self._convert(error, value.dt))
             where = [self.index(self._probes.place(*key))]
@@ -260,14 +260,14 @@ class RoundingEmitter(Emitter):
 
 
 def probes_of(program: Program) -> Probes:
-    """The probes of a program, made at the first call."""
+    """Returns the probes of a program, which are made at the first call."""
     if program.probes is None:
         program.probes = Probes()
     return program.probes
 
 
 def begin(program: Program, not_finite: dict[str, str]) -> Probes:
-    """From now on kernels that are launched have probes; see `Sweep.not_finite`."""
+    """Gives probes to kernels that are launched from now on; see `Sweep.not_finite`."""
     probes = probes_of(program)
     probes.clear()
     probes.sweep.not_finite = not_finite
@@ -283,6 +283,6 @@ def end(program: Program) -> None:
 
 
 def _forget_launches(program: Program) -> None:
-    """Lets Python look again which code a launch needs."""
+    """Makes each launch look up again which compiled code it needs."""
     for kernel in snapshot(program.kernels):
         kernel.forget_launches()

@@ -17,7 +17,7 @@ _DECLARE = "loss = ti.field(ti.f32, shape=(), needs_grad=True)"
 
 
 def as_losses(loss: Any) -> list[Any]:
-    """The fields of the losses, from the argument of `ti.ad.Tape`.
+    """Returns the fields of the losses, from the argument of `ti.ad.Tape`.
 
     Raises:
         TaiRuntimeTypeError: something that is no field.
@@ -68,19 +68,19 @@ def as_wanted(wrt: Any) -> list[Any]:
 
 
 def is_number(field: Any) -> bool:
-    """Whether the field holds one number, as one of shape () or (1,)."""
+    """Whether the field holds one number: its shape is () or (1,)."""
     return math.prod(field.shape) == 1 and field.element_shape in ((), (1,))
 
 
 def number_of(field: Any) -> float:
-    """The number that the field of a loss holds."""
+    """Returns the number that the field of a loss holds."""
     if field.shape == () and field.element_shape == ():
         return field[None]
     return field.to_numpy().item()
 
 
 def require_grad(field: Any, frame: Any) -> None:
-    """Allocates a field and its gradient; raises where there is none."""
+    """Allocates a field and its gradient; raises an error if there is no gradient."""
     field.materialize(frame)
     grad = field.grad
     if grad.snode is None:
@@ -97,7 +97,7 @@ def parts_of(field: Any) -> list[tuple[Any, Any]]:
 
 
 def as_seed(field: Any, seed: Any) -> np.ndarray:
-    """The seed of one field as an array of its shape.
+    """Returns the seed of one field as an array of the field's shape.
 
     Raises:
         TaiRuntimeTypeError: a seed of the wrong shape, or none of numbers.
@@ -134,7 +134,7 @@ def as_seeds(losses: list[Any], seed: Any) -> list[np.ndarray]:
 
 
 def set_seeds(core: Any, losses: list[Any], seeds: list[np.ndarray]) -> None:
-    """Gives the seeds to the tape in C++."""
+    """Passes the seeds of the losses to the tape in C++."""
     for field, seed in zip(losses, seeds, strict=True):
         for part, index in parts_of(field):
             core.set_seed(part.core, np.ascontiguousarray(seed[index]))

@@ -28,7 +28,7 @@ class Snapshot(native.WithBlock):
         self._kept = [self._take(f) for f in self._fields]
         self._arrays = [(a, pieces.copied(a)) for a in arrays]
         self.is_limited = False
-        # Gradients that no launch uses, and that tapes clear.
+        # The gradients that no launch uses, but that tapes clear; with their contents.
         self._others: list[tuple[Any, np.ndarray]] = []
 
     def limit(self, core: Any) -> None:
@@ -46,7 +46,8 @@ class Snapshot(native.WithBlock):
                 trees.add(f.level.root_node.tree)
             elif f.role == "grad" and array.any():
                 self._others.append((f, array))
-        # Both at once: after an interrupt in between, the arrays would not be those of the fields.
+        # Both lists change in one statement: if an interrupt came in between, arrays and fields
+        # would not belong together.
         self._fields, self._kept = [f for f, _ in kept], [array for _, array in kept]
         self._activity.limit(trees)
         self.is_limited = True
@@ -74,7 +75,7 @@ class Snapshot(native.WithBlock):
 
 
 def storage(f: Any) -> list[Any]:
-    """The places that hold a field, which a symbol names."""
+    """Returns the fields that hold memory, by name, of a field which a symbol names."""
     if getattr(f, "is_window", False):
         f = f._whole
     return parts_of(f)

@@ -15,7 +15,7 @@ from .precision import PrecisionReport
 
 @dataclass
 class Part:
-    """One cause of error.
+    """One cause of the error of a solution, and its share.
 
     Attributes:
         name: "rounding", "discretisation" or "solver".
@@ -122,13 +122,13 @@ def options_of(run: Callable[..., Any]) -> dict[str, Any]:
 
 
 def place_of(function: Callable[..., Any]) -> str:
-    """The line of a function."""
+    """Returns the file and line at which a function is defined."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return "run" if code is None else f"{shorten(code.co_filename)}:{code.co_firstlineno}"
 
 
 def lines_of(report: PrecisionReport, unit: float) -> list[tuple[str, float]]:
-    """Lines and sums by their relative effect on the loss."""
+    """Returns the lines and sums of a report with their relative effect on the loss."""
     size = abs(report.loss) / unit
     found = [
         (f"{shorten(line.filename)}:{line.lineno}  {line.text}", abs(line.error) / size)
@@ -139,5 +139,5 @@ def lines_of(report: PrecisionReport, unit: float) -> list[tuple[str, float]]:
 
 
 def worst_of(report: PrecisionReport, unit: float) -> str:
-    """The lines that lose most."""
+    """Describes the lines of the program that lose most digits."""
     return "; ".join(f"{text} ({off:.1e})" for text, off in lines_of(report, unit)[:3])

@@ -35,7 +35,7 @@ from .solution import Part, Solution, lines_of, options_of, place_of, worst_of
 from .tape import Tape
 from .tuning import Types, distance, is_named, made_by, parts_among, unknowns_of
 
-# Iterations (a run and its sweep) that a choice may cost.
+# The most iterations (a run of the program and its sweep) that the choice of types may cost.
 MOST_ITERATIONS = 20
 # An estimate of first order is within a factor of two as a rule; so is the next draw of an error.
 _SAFETY = 2.0
@@ -50,27 +50,27 @@ _TIE = 1.05
 _MARGIN_OF_F64 = 8.0
 # The roundings of f64 next to those of f32; the same of fast elementary functions.
 _OF_F64, _OF_FAST = 2.0**-29, 4.0
-# The part of the error that each cause may have.
+# The share of the allowed error that each cause of error may have.
 _SHARE = {"discretisation": 0.5, "solver": 0.2, "only solver": 0.6}
-# The greatest tolerance that is tried.
+# The greatest solver tolerance that is tried.
 _LOOSEST = 0.3
 # The most steps, as a multiple of those with which the search begins.
 _MOST_REFINED = 256
 # By which the tolerances of solvers are multiplied, to learn their effect.
 _TIGHTENED = 1e-3
-# Fields of fewer bytes gain nothing from a narrower type.
+# The least bytes of a field that gains from a narrower type.
 _LEAST_BYTES = 4096
 # An estimate of rounding beyond which a number of the error says nothing.
 _HOPELESS = 0.1
 
 
 class _TooManyRuns(TaiAutodiffError):
-    """The budget of iterations is spent."""
+    """Raised when the budget of iterations is spent."""
 
 
 @dataclass
 class _Choice:
-    """Types and modes: one of the ways to run the program."""
+    """Types of fields and modes: one of the candidate ways to run the program."""
 
     name: str
     modes: dict[str, Any]
@@ -150,7 +150,7 @@ def solve_to(
 
 
 class _Search:
-    """The measurements of one call."""
+    """The state and measurements of one call of `ti.solve_to`."""
 
     def __init__(self, run: Any, loss: Any, wrt: Any, names: Any, error: float):
         self._run, self._loss, self._wrt, self._error = run, loss, wrt, error
@@ -211,7 +211,7 @@ class _Search:
             reference, base = self._reference()
             report = self._estimate(reference)
             parts: list[Part] = []
-            # Solvers that stop early give gradients that differences do not confirm.
+            # Solvers that stop early give gradients that finite differences do not confirm.
             if "tol" in self._options:
                 part, base = self._choose_tol(reference, base)
                 parts.append(part)
@@ -294,7 +294,7 @@ class _Search:
         return pairs
 
     def _reference(self) -> tuple[Version, tuple[float, np.ndarray]]:
-        """Two runs in f64, which have to agree."""
+        """Makes two runs in f64, which must agree, as the reference."""
         version = self._version(self._modes("f64"), self._types(dtypes.f64))
         first = self._measure(version)[:2]
         loss, gradient, self._reference_time, _ = self._measure(version)
@@ -403,7 +403,7 @@ class _Search:
                 part.lines = [(str(found), found.error / size) for found in report.solves]
 
     def _choose_tol(self, reference: Version, base: Any) -> tuple[Part, Any]:
-        """The greatest tolerance whose effect is within its share."""
+        """Finds the greatest solver tolerance whose effect is within its share of the error."""
         room = _SHARE["solver" if "steps" in self._options else "only solver"] * self._error
         exact = self._measure(reference, tol=max(1e-13, min(1e-10, 1e-4 * self._error)))[:2]
         tol, last = min(self._error, 0.1), math.inf
@@ -414,7 +414,7 @@ class _Search:
             off = max(distance(found, exact))
             if off <= room:
                 kept = tol, off, found
-                # A looser one, unless that has proved to be too loose.
+                # A looser tolerance is tried next, unless it has proved to be too loose.
                 if off > 0.1 * self._error or tol >= _LOOSEST or last < math.inf:
                     break
                 tol = min(_LOOSEST, tol * max(2.0, min(0.5 * room / max(off, 1e-300), 1e3)))
@@ -501,7 +501,7 @@ class _Search:
             ) from None
 
     def _estimate(self, reference: Version) -> PrecisionReport:
-        """The effect of rounding on the loss, by one sweep."""
+        """Estimates the effect of rounding on the loss, by one reverse sweep."""
         report = self._measure(reference, precision=True)[3]
         off = _OF_F64 * report.relative
         if off > _HOPELESS:
@@ -513,7 +513,7 @@ class _Search:
         return report
 
     def _choices(self, report: PrecisionReport) -> list[_Choice]:
-        """The ways to run the program, the narrowest first."""
+        """Lists the candidate ways to run the program, the narrowest types first."""
         size = abs(report.loss)
         whole = report.expected / size
         terms = [line.error for line in report.lines]
@@ -558,7 +558,7 @@ class _Search:
         for choice in hopeful:
             if passed and choice.base is dtypes.f64:
                 break
-            # They cost more than sums as they are, which have passed.
+            # Compensated sums cost more than plain sums, which have passed already.
             if choice.name == "f32, compensated sums" and any(c.name == "f32" for c in passed):
                 continue
             # The other iterations are for the check of the choice, and for f64.
@@ -603,7 +603,7 @@ class _Search:
                     choice.seconds = choice.version.seconds
 
     def _try(self, choice: _Choice, reference: Version, base: Any, room: float) -> bool:
-        """Runs a choice, and measures its error and time."""
+        """Runs the program with a choice of types, and measures its error and time."""
         for _ in range(1 + len(choice.narrow)):
             same = choice.base is dtypes.f64 and choice.modes == reference.modes
             choice.version = reference if same else self._version(
@@ -625,7 +625,7 @@ class _Search:
             is_widest = choice.base is dtypes.f64
             off = 1.25 * max(choice.errors)
             if max(off, _MARGIN_OF_F64 * choice.estimate if is_widest else 0.0) <= room:
-                # The first run has compiled the kernels.
+                # The first run is not timed, because it has compiled the kernels.
                 if not same:
                     loss, gradient, seconds, _ = self._measure(choice.version)
                     again = distance((loss, gradient), base)
@@ -643,7 +643,7 @@ class _Search:
     def _find_trouble(
         self, reference: Version, base: Any, choice: _Choice, room: float
     ) -> tuple[str, str] | None:
-        """Whether inputs that differ in their last bit give another gradient."""
+        """Finds out whether inputs that differ in their last bit give another gradient."""
         unit = 2.0 ** (-52 if choice.base is dtypes.f64 else -23)
         signs = [self._generator.choice([-1.0, 1.0], f.shape + f.element_shape)
                  for f in self._unknowns]  # fmt: skip
@@ -703,7 +703,7 @@ class _Search:
         )  # fmt: skip
 
     def _notes(self) -> list[str]:
-        """Fields that cannot hold as many digits as were asked for."""
+        """Lists the fields whose type cannot hold as many digits as were asked for."""
         units = {16: 2.0**-9, 32: 2.0**-24, 64: 0.0}
         results = [self._loss, *(f._companions["grad"] for f in self._unknowns)]
         short = [f for f in results if units[f.dtype.bits] > self._error / 2]
@@ -758,7 +758,7 @@ def _scale_of(array: np.ndarray) -> np.ndarray:
 
 
 def _apart(a: Any, b: Any, scale: Any) -> tuple[float, float]:
-    """The distance of two results, next to a third one."""
+    """Returns the distance of two results, relative to the size of a third one."""
     if a[1].shape != b[1].shape:
         raise TaiRuntimeTypeError("the gradient must have the same shape for all numbers of steps")
     size = float(np.linalg.norm(scale[1]))

@@ -26,7 +26,7 @@ def require_small(f: Any) -> None:
 
 
 def sparse_level(f: Any) -> Any:
-    """The innermost sparse level above a place, or None."""
+    """Returns the innermost sparse level above a field, or None."""
     levels = [] if f.level is None else f.level.path()
     return next((level for level in reversed(levels) if level.kind != "dense"), None)
 
@@ -52,7 +52,7 @@ def active_elements(f: Any) -> np.ndarray:
 
 
 class Activity:
-    """The active cells of all trees, which can be restored."""
+    """Keeps which cells are active in all trees, so that this state can be restored."""
 
     def __init__(self) -> None:
         self._context = get_program().context
@@ -72,7 +72,7 @@ class Activity:
                 continue
             extra = np.setdiff1d(now, kept, assume_unique=True)
             for cell in extra:
-                # Deactivating a cell of a list empties all of the list.
+                # Deactivating a cell of a list makes all cells of the list inactive.
                 self._context.set_active(tree, number, int(cell), False)
             missing = np.setdiff1d(kept, self._cells(tree, number) if dynamic else now)
             for cell in missing:
@@ -80,7 +80,7 @@ class Activity:
 
 
 def _levels() -> Iterator[tuple[str, int, bool]]:
-    """The sparse levels of all trees, those above before those below."""
+    """Yields the sparse levels of all trees, upper levels before lower ones."""
     seen = set()
     for f in get_program().fields.values():
         root = None if f.level is None or f._core is None else f.level.root_node

@@ -120,7 +120,7 @@ class Tape(native.WithBlock):
         seed: Any = None, memory_budget: Any = None, checkpoint: Any = None,
         precision: bool = False, wrt: Any = None,
     ):  # fmt: skip
-        # The losses that are not fields, from which the sweep starts.
+        # The loss that is an array and not a field, from which the sweep starts as well.
         self._outer_loss = loss if isinstance(loss, Ndarray) else None
         if self._outer_loss is not None:
             tracked.check_loss(loss)
@@ -164,7 +164,7 @@ class Tape(native.WithBlock):
             require_grad(field, sys._getframe(1))
         if self._check:
             self._check.begin(self.loss)
-        # Wrong seeds are found before anything is computed.
+        # The seeds are checked first, so that wrong ones are found before anything is computed.
         seeds = None if self._seed is None else as_seeds(self._losses, self._seed)
         if self._outer_loss is not None:
             self._outer_loss.fill(0)
@@ -213,14 +213,14 @@ class Tape(native.WithBlock):
             field.fill(0)
 
     def _forget(self) -> None:
-        """Ends the recording: later launches are not taped."""
+        """Ends the recording: the tape records no later launches."""
         native.set_tape(None)
         tracked.end()
         state.of_thread.tape = None
         self._is_recording = False
 
     def _end(self) -> None:
-        """Other threads may go on, also where there was no sweep."""
+        """Releases the fields to other threads, even if there was no sweep."""
         if not self._is_open:
             return
         self._forget()
@@ -356,7 +356,7 @@ class Tape(native.WithBlock):
         warn(self._core)
 
     def stats(self) -> TapeStats:
-        """Memory that the tape uses, and amount of recomputation."""
+        """The memory that the tape uses, and the amount of recomputation."""
         if self._core is None:
             raise TaiRuntimeError("the tape holds nothing yet", "enter its `with` block first")
         return TapeStats(*self._core.stats())
@@ -373,7 +373,7 @@ class Tape(native.WithBlock):
         block are repeated. Gradients are cleared before the reverse sweep.
         """
         self._need_record()
-        # The check comes before gradients are cleared.
+        # This check comes before gradients are cleared, so that a refused call changes nothing.
         if state.tape is not None:
             raise TaiRuntimeError(
                 "a tape cannot be replayed while another one records",
@@ -392,7 +392,7 @@ class Tape(native.WithBlock):
             losses = ()
         arrays = self._values.arrays
         if forward and (not backward or arrays.restores):
-            # The sweep leaves the arrays as the kernels leave them now.
+            # The sweep leaves the arrays with the contents that the kernels have left in them.
             arrays.take_versions()
             with Ordered(arrays):
                 self._core.replay(True, False)
@@ -474,7 +474,7 @@ class Tape(native.WithBlock):
         )
 
     def _repr_html_(self) -> str:
-        """The tape in a notebook: its records and its memory."""
+        """Shows the tape in a notebook: its records and its memory."""
         if self._core is None or self._is_recording:
             return f"<code>{html.escape(repr(self))}</code>"
         rows = {"records": self._core.records, "skipped in reverse": self._core.skipped}
@@ -537,7 +537,7 @@ def no_grad(function: Callable[..., Any] | None = None) -> Any:
 
 
 class _NoGradBlock(native.WithBlock):
-    """The block `with ti.ad.no_grad():`, and the decorator `@ti.ad.no_grad()`."""
+    """Implements the block `with ti.ad.no_grad():`, and the decorator `@ti.ad.no_grad()`."""
 
     def __init__(self) -> None:
         self._inner: _Unrecorded | None = None
@@ -607,7 +607,7 @@ def run_unrecorded(tape: Any, function: Callable[..., Any], *args: Any, **kwargs
 
 
 class _Unrecorded(native.WithBlock):
-    """While it lasts, no launch is recorded by itself."""
+    """A block in which no launch is recorded by itself."""
 
     def __init__(self, tape: Any):
         self._tape, self._is_suspended = tape, False
@@ -627,7 +627,7 @@ class _Unrecorded(native.WithBlock):
 
 
 def grad_for(primal: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Defines the gradient of a function that is marked by `grad_replaced`."""
+    """Defines the gradient of a function that is decorated by `grad_replaced`."""
     if not hasattr(primal, "grad") or getattr(primal, "_tai_kernel", False):
         raise TaiAutodiffError(
             f"'{getattr(primal, '__name__', primal)}' takes no gradient of its own",
@@ -645,6 +645,6 @@ def grad_for(primal: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return decorator
 
 
-# The names of the paper.
+# The DiffTaichi paper calls these decorators by the following names.
 complex_kernel = grad_replaced
 complex_kernel_grad = grad_for

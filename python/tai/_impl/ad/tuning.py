@@ -30,7 +30,7 @@ class Types(dict):
 
 @dataclass
 class TunedPrecision:
-    """The chosen types, and measurements with them.
+    """The types of fields that were chosen, and measurements with these types.
 
     Attributes:
         types: the narrower types, by name of the field.
@@ -142,7 +142,7 @@ class _Emulation(native.WithBlock):
 
 
 def _tune(run: Callable[..., Any], loss: Any, error: float, wrt: Any) -> TunedPrecision:
-    """By estimates, and by emulation in the fields that there are."""
+    """Chooses types by estimates, and by emulating them in the fields that exist."""
     program, start = get_program(), Snapshot()
     with _Emulation(program, start):
         with Tape(loss, precision=True) as tape:
@@ -200,7 +200,9 @@ def _rebuild(
 
 
 def is_named(f: Any, name: str) -> bool:
-    """Whether a field has a name. A later field of the same name has a number at its end."""
+    """Whether a field has the given name. A later field of the same name has a number at its
+    end.
+    """
     stem, _, number = owner_of(f).name.rpartition("_")
     return owner_of(f).name == name or (stem == name and number.isdigit())
 
@@ -254,7 +256,7 @@ def _field(report: PrecisionReport, name: str) -> Any:
 
 
 def _all_saved(report: PrecisionReport, chosen: dict[str, str]) -> int:
-    """The bytes that narrower types save."""
+    """Returns the bytes of memory that the chosen narrower types save."""
     pairs = [(_field(report, name), kind) for name, kind in chosen.items()]
     return sum(f.bytes - f.bytes * bytes_of(kind) // bytes_of(f.dtype) for f, kind in pairs)
 

@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 
 from ...errors import TaiAssertionError, shorten, show_line
 
-# Violations that a tape keeps. The message shows fewer.
+# The most violations that a tape keeps. The error message shows fewer.
 LIMIT = 100
 _SHOWN = 10
 
-# By TaiViolation.kind: the violation, and the effect of the earlier access.
+# For each number of TaiViolation.kind: the violation, and the effect of the earlier access.
 _KINDS = [
     ("is overwritten after it was read", "read here"),
     ("is accumulated after it was read", "read here"),
@@ -22,7 +22,7 @@ _RACES = (3, 4)
 
 
 class Place(NamedTuple):
-    """One access.
+    """Describes one access to an element: kernel, launch and source location.
 
     Attributes:
         kernel: the name of the kernel.
@@ -38,7 +38,7 @@ class Place(NamedTuple):
 
 
 class Violation(NamedTuple):
-    """A rule broken at one element.
+    """Describes a violation of the data access rules at one element.
 
     Attributes:
         message: the violation, such as "x[3] is overwritten after it was read".
@@ -80,7 +80,7 @@ def take_violations(tape: Any) -> tuple[int, list[Violation]]:
 
 def _place(row: tuple) -> Place:
     kernel, launch, _, file, line, column = row
-    # A kernel may be launched in parts, "k.0", "k.1".
+    # A kernel may be launched in parts, "k.0", "k.1", which are reported as "k".
     return Place(kernel.partition(".")[0], launch, file, line, column)
 
 
@@ -96,7 +96,7 @@ def _describe(place: Place) -> list[str]:
 
 
 def raise_violations(tape: Any) -> None:
-    """Raises `TaiAssertionError` if a rule was broken; its `violations` list them."""
+    """Raises `TaiAssertionError` if a data access rule was broken; its `violations` list them."""
     total, found = take_violations(tape)
     if not total:
         return
@@ -120,7 +120,7 @@ def raise_violations(tape: Any) -> None:
     shown: list[str] = []
     seen = set()
     for number, (violation, row) in enumerate(zip(found, rows, strict=True)):
-        # Elements of one field differ in the index alone.
+        # Violations at elements of one field that differ in the index alone are reported together.
         key = (row[0], violation.access[2:], violation.earlier and violation.earlier[2:])
         if key in seen:
             continue

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def calling_frame() -> Any:
-    """The innermost frame of the program; None if there is none."""
+    """Returns the innermost stack frame that belongs to the user's program, or None."""
     frame: FrameType | None = sys._getframe(1)
     while frame is not None and _is_ours(frame):
         frame = frame.f_back

@@ -24,7 +24,7 @@ class Watcher:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        # Kernels in the compiler; several threads may compile at once.
+        # The kernels that are being compiled; several threads may compile at once.
         self._compilations: list[_Compilation] = []
         self._begin = self._end = 0.0
         self._done = 0
@@ -32,7 +32,7 @@ class Watcher:
         self._thread: threading.Thread | None = None
 
     def compiling(self, name: str) -> _Compilation:
-        """While this lasts, the kernel is in the compiler."""
+        """Returns a context manager that shows a line while the kernel `name` is compiled."""
         return _Compilation(self, name)
 
     def begin(self, compilation: _Compilation) -> None:
@@ -89,7 +89,7 @@ class Watcher:
 
 
 class _Compilation(native.WithBlock):
-    """One kernel in the compiler."""
+    """The context manager around the compilation of one kernel."""
 
     def __init__(self, watcher: Watcher, name: str):
         self._watcher, self.name = watcher, name
@@ -105,7 +105,7 @@ _watcher = Watcher()
 
 
 def is_shown() -> bool:
-    """Whether the line would be visible."""
+    """Whether the line about the compilation would be visible in this process."""
     if not state.options.compile_progress:
         return False
     try:

@@ -12,7 +12,7 @@ from . import state
 
 
 class DataType:
-    """A scalar type.
+    """A scalar type of fields, arrays and kernels, such as `ti.f32`.
 
     Attributes:
         name: as in `ti.<name>`.
@@ -71,7 +71,7 @@ u16 = DataType("u16", "u", 16, "i16", "uint16")
 u32 = DataType("u32", "u", 32, "i32", "uint32")
 u64 = DataType("u64", "u", 64, "i64", "uint64")
 f16 = DataType("f16", "f", 16, "f16", "float16")
-# NumPy has no such type: in Python its numbers are f32.
+# NumPy has no type bf16, so in Python its numbers are f32.
 bf16 = DataType("bf16", "f", 16, "bf16", "float32")
 f32 = DataType("f32", "f", 32, "f32", "float32")
 f64 = DataType("f64", "f", 64, "f64", "float64")
@@ -175,7 +175,7 @@ def dtype_of(value: Any) -> DataType:
 
 
 def misfit(number: Any, dt: DataType) -> TaiTypeError:
-    """The error for a whole number that a type cannot hold."""
+    """Makes the error for a whole number that a type cannot hold."""
     if isinstance(number, float):
         return TaiTypeError(
             f"{number} is no whole number of type {dt}", "give a finite number, or take ti.f32"
@@ -197,7 +197,7 @@ def misfit(number: Any, dt: DataType) -> TaiTypeError:
 
 
 def wrapped(number: int, dt: DataType) -> int:
-    """The number of type `dt` with the same low bits."""
+    """Returns the number of type `dt` whose low bits equal those of `number`."""
     number &= (1 << dt.bits) - 1
     return number - (1 << dt.bits) if number > dt.max else number
 
@@ -217,7 +217,7 @@ def fit(number: Any, dt: DataType) -> int:
 
 
 def rounded(number: Any, dt: DataType) -> float:
-    """The number as a float type holds it."""
+    """Returns the number as a float type holds it, rounded to nearest."""
     try:
         near: Any = float(number) if dt.bits == 64 else dt.numpy.type(number)
     except OverflowError:

@@ -18,7 +18,7 @@ _COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">="}
 # Numbers of Python, and its lists of numbers. Arrays of all libraries have `__array__`.
 _NUMBERS = (int, float, complex, list, tuple, range)
 
-# Functions of NumPy that stand for these operators.
+# The functions of NumPy that stand for the operators of elements.
 _FUNCTIONS = {
     "add": "+", "subtract": "-", "multiply": "*", "divide": "/", "floor_divide": "//",
     "remainder": "%", "power": "**", "matmul": "@", "less": "<", "less_equal": "<=",
@@ -48,7 +48,7 @@ class Elements:
         return None
 
     def _shown_name(self) -> str:
-        """A name for it in the lines of a hint."""
+        """Returns a name for the object, for the lines of a hint."""
         return "x"
 
     # NumPy
@@ -57,7 +57,7 @@ class Elements:
         raise NotImplementedError
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        """A copy, as of `to_numpy`; `np.from_dlpack(x)` shares the memory."""
+        """Returns a copy, like `to_numpy`; `np.from_dlpack(x)` shares the memory instead."""
         if copy is False:
             raise ValueError(
                 "np.asarray of fields and arrays makes a copy; np.from_dlpack(x) shares the memory"
@@ -72,7 +72,7 @@ class Elements:
         if array.ndim == 0:
             raise AttributeError("NumPy takes a single number by __array__ only")
         interface = dict(array.__array_interface__)
-        # The bytes keep themselves alive; an address would not.
+        # The bytes object keeps the memory alive, which an address would not.
         whole = np.ascontiguousarray(array)
         interface["data"] = whole.reshape(-1).view(np.uint8).data if array.size else bytearray(1)
         interface["strides"] = None

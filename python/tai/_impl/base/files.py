@@ -54,13 +54,15 @@ def replacing_name(path: Any) -> Iterator[str]:
 
 @contextlib.contextmanager
 def replacing(path: Any) -> Iterator[BinaryIO]:
-    """A stream whose bytes become the file `path`, as with `replacing_name`."""
+    """Yields a stream whose bytes become the file `path`, replaced at once as by
+    `replacing_name`.
+    """
     with replacing_name(path) as name, open(name, "wb") as stream:
         yield stream
 
 
 def write_text(path: Any, text: str) -> None:
-    """Writes a file of text, as with `replacing_name`."""
+    """Writes a text file, which is replaced at once as by `replacing_name`."""
     with replacing(path) as stream:
         stream.write(text.encode())
 

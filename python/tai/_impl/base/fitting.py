@@ -22,7 +22,7 @@ def _say(what: Any) -> str:
 
 
 def stored(value: Any, dt: DataType, what: Any) -> Any:
-    """A number that Python stores in a place of type `dt`.
+    """Returns the number that is stored when Python assigns `value` to a place of type `dt`.
 
     Args:
         value, dt: the number and the type.
@@ -77,7 +77,7 @@ def listed(values: Any) -> Any:
 
 
 def offsets(values: Any, what: Any) -> tuple[int, ...]:
-    """The first index along each dimension."""
+    """Returns the first index along each dimension from the argument `offset`."""
     values = listed(values)
     for value in values:
         if not hasattr(value, "__index__") or not -(2**62) < value.__index__() < 2**62:
@@ -126,7 +126,7 @@ def _no_numbers(array: np.ndarray, dt: DataType, what: Any) -> TaiError:
 
 
 def index_error(name: str, key: Any, error: Exception) -> TaiError:
-    """The error for an index that Python gave to a field."""
+    """Makes the error for an index that Python code gave to a field."""
     for part in key if isinstance(key, tuple) else (key,):
         if isinstance(part, slice) or part is Ellipsis:
             return TaiRuntimeTypeError(

@@ -7,7 +7,7 @@ from types import FunctionType, MethodType, TracebackType
 
 
 def is_of_a_handler(trace: TracebackType | None) -> bool:
-    """Whether the handler of a signal has raised the exception of a traceback."""
+    """Whether a traceback belongs to an exception that the handler of a signal has raised."""
     handlers = {
         handler.__code__
         for handler in map(signal.getsignal, signal.valid_signals())

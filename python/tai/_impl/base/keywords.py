@@ -15,7 +15,7 @@ from ...errors import did_you_mean
 def check_keywords(
     namespace: dict[str, Any], names: Iterable[str] = (), attributes: bool = True
 ) -> None:
-    """Lets public functions and classes refuse wrong keywords with a suggestion.
+    """Decorates public functions and classes so that they refuse wrong keywords with a suggestion.
 
     The same for attributes that the classes have not, and for names that a public module has not.
     Call it at the end of a module, with `globals()`.
@@ -51,7 +51,7 @@ def missing_attribute(text: str, name: str, known: Iterable[str]) -> AttributeEr
     near = None
     if not name.startswith("_"):  # Other libraries ask for names with underscores.
         near = did_you_mean(name, [one for one in known if not one.startswith("_")])
-    # With a name, Python adds no suggestion of its own.
+    # With the attribute `name`, Python adds no suggestion of its own to the error.
     return AttributeError(text if near is None else f"{text}\n  {near}", name=name)
 
 
@@ -135,7 +135,7 @@ def checked(function: Any, is_method: bool = False) -> Any:
             raise refuse_keywords(function.__qualname__, wrong, names[is_method:], given)
         return function(*args, **named)
 
-    # One for all modules that have the function.
+    # The checked function takes over every name of the function in its module.
     module = vars(sys.modules[function.__module__])
     module.update({name: check for name, value in module.items() if value is function})
     function.with_checked_keywords = check.with_checked_keywords = check  # type: ignore[attr-defined]

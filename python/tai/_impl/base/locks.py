@@ -40,7 +40,7 @@ def snapshot(things: Iterable[T]) -> list[T]:
         try:
             return list(things)
         except RuntimeError as error:
-            # It has grown while it was read; or a handler has raised it.
+            # The collection has grown while it was read, or a signal handler has raised the error.
             if is_of_a_handler(error.__traceback__):
                 raise
 

@@ -24,5 +24,5 @@ def set_logging_level(level: str) -> None:
 
 
 def is_logging_effective(level: str) -> bool:
-    """Whether a message of this level would be written."""
+    """Whether a log message of this level would be written."""
     return _number(level) >= _number(_level)

@@ -10,7 +10,7 @@ from typing import Any
 from ...errors import TaiRuntimeError, TaiSyntaxError, did_you_mean
 from . import dtypes
 
-# For each mode its words, the first one where nothing is said.
+# For each numeric mode, its words; the first word is the default.
 MODES: dict[str, tuple[Any, ...]] = {
     "precision": ("default", "f64", "f32", "f16", "bf16"),
     "sums": ("default", "compensated", "deterministic"),
@@ -25,7 +25,7 @@ OF_KERNELS = ("precision", "sums", "math", "ftz")
 # Precisions that a kernel cannot have, since it stores nothing by itself.
 _STORAGE = ("f16", "bf16")
 
-# The options that are short forms of a word.
+# The options that are short forms of a mode and a word.
 _SHORT = {
     "fast_math": ("math", "fast"),
     "strict": ("math", "strict"),
@@ -46,7 +46,7 @@ _CONTRADICTIONS = (
 
 
 def _words(chosen: dict[str, Any]) -> dict[tuple[str, str], str]:
-    """The chosen options, each with its spelling."""
+    """Returns the modes that the chosen options set, each with the spelling of the option."""
     found = {}
     for name in ("math", "sums"):
         word = chosen.get(name, "default")
@@ -61,7 +61,7 @@ def _words(chosen: dict[str, Any]) -> dict[tuple[str, str], str]:
 
 
 def check_together(chosen: dict[str, Any], where: str = "options") -> None:
-    """Fails if two of the chosen options contradict each other.
+    """Raises an error if two of the chosen options contradict each other.
 
     Args:
         chosen: keywords of `ti.init`.
@@ -123,7 +123,7 @@ def choose(chosen: dict[str, Any]) -> None:
 
 
 def check_kernel(name: str, given: dict[str, Any]) -> dict[str, Any]:
-    """The modes that a kernel was given.
+    """Checks and returns the numeric modes that a kernel was given.
 
     Raises:
         TaiSyntaxError: a name or a word that there is not.
@@ -171,7 +171,7 @@ def modes_of(own: dict[str, Any], options: Any) -> dict[str, Any]:
 
 
 def attribute_of(modes: dict[str, Any]) -> str:
-    """The modes as an attribute of IR."""
+    """Returns the numeric modes as an attribute of IR."""
     texts = []
     for name, word in modes.items():
         shown = "f32" if word in _STORAGE else word

@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-# The platforms of the wheels that `make wheel` builds.
+# The platforms for which `make wheel` builds wheels.
 WHEELS = "CPython 3.11 to 3.14 on Linux, x86-64, with glibc 2.35 or newer"
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def __getattr__(name: str) -> Any:
 
 
 def check_built() -> None:
-    """Refuses an interpreter for which this installation has no extension module.
+    """Raises an error if this installation has no extension module for the running Python.
 
     Raises:
         ImportError: it names the interpreter, and those that have one.

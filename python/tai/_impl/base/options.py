@@ -26,7 +26,7 @@ class Keyword(NamedTuple):
     about: str
 
 
-# Keywords that may be given by position.
+# The keywords of `ti.init` that may be given by position.
 _POSITIONAL = ("arch", "default_fp", "default_ip")
 
 # Taichi's names of options of the table, whose own name is no keyword then.
@@ -88,7 +88,7 @@ _NOTES = {
     "itself",
 }
 
-# Keywords for options that Python handles.
+# The keywords of `ti.init` for options that Python itself handles.
 _OWN = (
     Keyword("default_fp", dtypes.DataType, dtypes.f32, "the type of `float` in kernels"),
     Keyword("default_ip", dtypes.DataType, dtypes.i32, "the type of `int` in kernels"),
@@ -177,7 +177,7 @@ def texts_of(options: Options, rows: Iterable[Row] = ROWS) -> dict[str, str]:
         if value is None:
             continue
         texts[name] = str(value).lower() if isinstance(value, bool) else str(value)
-    # These options define the target.
+    # The options in `_BEFORE_ARCH` define the target, so they are set before it.
     first = {name: texts.pop(name) for name in _BEFORE_ARCH if name in texts}
     return first | texts
 
@@ -198,7 +198,7 @@ _TEXTS: dict[str, Callable[[Options], Any]] = {
 }
 _BEFORE_ARCH = ("device_memory_limit", "device_heap", "arch")
 
-# Options that take one of a few words.
+# The options of `ti.init` that take one of a few words, with these words.
 CHOICES = {
     "ad_ties": ("second", "split"),
     "ad_arcs": ("exact", "clamp"),
@@ -286,7 +286,7 @@ def skip_text(value: Any) -> str:
 
 
 def signature_of(keywords: dict[str, Keyword]) -> inspect.Signature:
-    """The signature of `ti.init`, as `help` and editors show it."""
+    """Makes the signature of `ti.init`, as `help` and editors show it."""
     kind = inspect.Parameter
     parameters = [
         kind(
@@ -302,7 +302,7 @@ def signature_of(keywords: dict[str, Keyword]) -> inspect.Signature:
 
 
 def described(keywords: dict[str, Keyword]) -> str:
-    """The keywords as the section `Args` of a docstring."""
+    """Describes the keywords of `ti.init` as the section `Args` of a docstring."""
     return "\n".join(
         textwrap.fill(
             f"{k.name}: {k.about}.", 95, initial_indent=" " * 8, subsequent_indent=" " * 12

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ast
 
-# More often than threads meet each other again.
+# The number of attempts: more than threads that disturb each other ever need.
 _TRIES = 100
 
 
 def parse(text: str) -> ast.Module:
-    """`ast.parse`, tried again where another thread came in between.
+    """Calls `ast.parse`, again if another thread has disturbed the parser.
 
     Before 3.13 CPython counts how deep the trees of all threads are in one place. A thread that
     makes a tree while the garbage collector interrupts another one that does spoils the count of

@@ -13,7 +13,7 @@ import numpy as np
 
 Result = TypeVar("Result")
 
-# The bytes that are copied at once, in some milliseconds.
+# The number of bytes that are copied at once, which takes some milliseconds.
 PIECE = 16 << 20
 # The elements from which on sorting and the like take longer than a thread does to start.
 _MANY = 1 << 18
@@ -30,13 +30,13 @@ def copy(target: Any, source: Any) -> None:
     rows = target.shape[0]
     step = max(PIECE * rows // target.nbytes, 1)
     for first in range(0, rows, step):
-        # A single row is copied by its own rows.
+        # An array of a single row is copied by the rows of that row.
         part = slice(first, first + step) if rows > 1 else 0
         copy(target[part], source if is_number else source[part])
 
 
 def copied(array: np.ndarray, dtype: Any = None) -> np.ndarray:
-    """A copy in row-major order."""
+    """Returns a copy of an array in row-major order."""
     made = np.empty(array.shape, array.dtype if dtype is None else dtype)
     copy(made, array)
     return made

@@ -20,7 +20,7 @@ _CORNERS = {"tri": 3, "quad": 4, "tet": 4}
 
 
 class PLYWriter:
-    """Collects the vertices and faces of a scene, and writes them.
+    """Collects the vertices and faces of a scene, and writes them to PLY files.
 
     ```python
     writer = ti.tools.PLYWriter(num_vertices=n)
@@ -49,7 +49,7 @@ class PLYWriter:
             raise TaiRuntimeTypeError("the comment of a PLY file is one line")
         self.num_vertices, self.num_faces, self.face_type = num_vertices, num_faces, face_type
         self.comment = comment
-        # Names, types and numbers of the channels, in order.
+        # The names, types and numbers of the vertex channels, in order.
         self._vertices: list[tuple[str, str, np.ndarray]] = []
         self._of_faces: list[tuple[str, str, np.ndarray]] = []
         self._corners: np.ndarray | None = None
@@ -70,7 +70,7 @@ class PLYWriter:
         return name, kind, array.ravel().astype(_TYPES[kind])
 
     def add_vertex_channel(self, key: str, data_type: str, data: Any) -> None:
-        """Adds a number for each vertex.
+        """Adds a channel with a number for each vertex.
 
         Args:
             key: its name in the file.
@@ -92,23 +92,23 @@ class PLYWriter:
         self._add_vertex("nx ny nz", "float", nx, ny, nz)
 
     def add_vertex_color(self, r: Any, g: Any, b: Any) -> None:
-        """Adds colours from 0 to 1."""
+        """Adds colours of the vertices, from 0 to 1."""
         self._add_vertex("red green blue", "float", r, g, b)
 
     def add_vertex_alpha(self, alpha: Any) -> None:
-        """Adds opacities from 0 to 1."""
+        """Adds opacities of the vertices, from 0 to 1."""
         self._add_vertex("Alpha", "float", alpha)
 
     def add_vertex_rgba(self, r: Any, g: Any, b: Any, a: Any) -> None:
-        """Adds colours and opacities from 0 to 1."""
+        """Adds colours and opacities of the vertices, from 0 to 1."""
         self._add_vertex("red green blue Alpha", "float", r, g, b, a)
 
     def add_vertex_id(self) -> None:
-        """Adds the numbers of the vertices."""
+        """Adds the numbers of the vertices as a channel."""
         self._add_vertex("id", "int", np.arange(self.num_vertices))
 
     def add_vertex_piece(self, piece: Any) -> None:
-        """Adds the number of the piece that each vertex belongs to."""
+        """Adds a channel with the number of the piece that each vertex belongs to."""
         self._add_vertex("piece", "int", piece)
 
     def add_faces(self, indices: Any) -> None:
@@ -133,18 +133,18 @@ class PLYWriter:
         self._corners = array
 
     def add_face_channel(self, key: str, data_type: str, data: Any) -> None:
-        """Adds a number for each face."""
+        """Adds a channel with a number for each face."""
         name, kind, array = self._channel(key, data_type, data, self.num_faces, "face")
         if self.face_type == "tet":
             array = np.repeat(array, 4)
         self._of_faces.append((name, kind, array))
 
     def add_face_id(self) -> None:
-        """Adds the numbers of the faces."""
+        """Adds the numbers of the faces as a channel."""
         self.add_face_channel("id", "int", np.arange(self.num_faces))
 
     def add_face_piece(self, piece: Any) -> None:
-        """Adds the number of the piece that each face belongs to."""
+        """Adds a channel with the number of the piece that each face belongs to."""
         self.add_face_channel("piece", "int", piece)
 
     def _header(self, form: str) -> str:
@@ -183,7 +183,7 @@ class PLYWriter:
         return table
 
     def export(self, path: str) -> None:
-        """Writes a file of binary numbers."""
+        """Writes the scene to a PLY file of binary numbers."""
         tables = self._tables()
         with replacing_name(path) as name, open(name, "wb") as file:
             file.write(self._header(f"binary_{sys.byteorder}_endian").encode())
@@ -191,7 +191,7 @@ class PLYWriter:
                 file.write(table.tobytes())
 
     def export_ascii(self, path: str) -> None:
-        """Writes a file of text."""
+        """Writes the scene to a PLY text file."""
         tables = self._tables()
         with replacing_name(path) as name, open(name, "w", encoding="utf-8") as file:
             file.write(self._header("ascii"))
@@ -202,9 +202,9 @@ class PLYWriter:
         return f"{path.removesuffix('.ply')}_{series_num:06d}.ply"
 
     def export_frame(self, series_num: int, path: str) -> None:
-        """Writes frame number `series_num`: `a.ply` becomes `a_000012.ply`."""
+        """Writes the PLY file of frame `series_num`: `a.ply` becomes `a_000012.ply`."""
         self.export(self._name_of(series_num, path))
 
     def export_frame_ascii(self, series_num: int, path: str) -> None:
-        """Writes frame `series_num` as a text file."""
+        """Writes frame `series_num` as a PLY text file."""
         self.export_ascii(self._name_of(series_num, path))

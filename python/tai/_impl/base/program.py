@@ -20,34 +20,34 @@ at_close: list[Callable[[], None]] = []
 
 
 class Program:
-    """The state between two calls of `ti.init`."""
+    """The state of the package between two calls of `ti.init`: fields, trees, kernels."""
 
     def __init__(self, options: Options):
         self.options = options
         self.context = native.Context()
-        # The tree that is being laid out under `ti.root`; see `fields.root`.
+        # The root of the tree that is being laid out under `ti.root`; see `fields.root`.
         self.root: Any = None
-        # The roots of those that were, until they are allocated.
+        # The roots of trees that were laid out and are not allocated yet.
         self.laid_out: list[Any] = []
         # Held while fields are placed under `ti.root`, so that no other thread allocates half of
         # them.
         self.layout = Lock()
-        # Functions of kernels by symbol, for reports that name a line.
+        # The Python functions of kernels by symbol, for reports that name a line.
         functions: dict[str, Any] = {}
         self.kernel_functions = functions
         self.symbols = Symbols(self.context.has_kernel, lambda name: functions.pop(name, None))
         self.num_trees = 0
-        # The roots of the trees that are allocated, by symbol.
+        # The roots of the allocated trees, by symbol.
         self.trees: dict[str, Any] = {}
         # The number of swept tapes; losses that were reported as NaN or infinite.
         self.sweeps = 0
         self.told_losses: set[str] = set()
-        # Fields by symbol, for diagnostics and for clearing gradients.
+        # All fields by symbol, for diagnostics and for clearing gradients.
         self.fields: dict[str, Any] = {}
         self.kernels: weakref.WeakSet = weakref.WeakSet()
-        # The place where forward mode keeps results of kernels; see `tracking.tangents`.
+        # The memory in which forward mode keeps results of kernels; see `tracking.tangents`.
         self.pools: list[Any] = []
-        # The derivatives of a precision report; see `ad.rounding`.
+        # The probes by which a precision report measures roundings; see `ad.rounding`.
         self.probes: Any = None
         self.count_kernels_from_here()
         # Lists that sparse levels had made and reused at the last `clear_skips`.
@@ -69,7 +69,7 @@ class Program:
             forget()
 
     def count_kernels_from_here(self) -> None:
-        """Forgets the kernels that were defined so far."""
+        """Counts kernels from here on: the kernels that were defined so far are forgotten."""
         self.first_kernel = state.kernels_made
 
     def kernels_defined(self) -> int:
@@ -83,7 +83,7 @@ class Program:
 
 
 def get_program() -> Program:
-    """The program, made with default options if `ti.init` was not called."""
+    """Returns the program, which is made with default options if `ti.init` was not called."""
     if state.program is None:
         state.program = Program(state.options)
     return state.program
@@ -93,7 +93,7 @@ state.options = Options()
 
 
 def check_reset() -> None:
-    """Refuses to reset where a tape or forward mode is open.
+    """Refuses `ti.init` and `ti.reset` while a tape or forward mode is open.
 
     Raises:
         TaiRuntimeError: one is.

@@ -8,7 +8,7 @@ from ...errors import TaiRuntimeError
 
 
 def get_scipy(user: str = "sparse matrices need", instead: str = "") -> tuple[Any, Any]:
-    """The modules of sparse matrices and of their solvers.
+    """Returns SciPy's modules of sparse matrices and of their solvers.
 
     Args:
         user: begins the message where SciPy is missing.

@@ -105,7 +105,7 @@ def _place(text: str) -> tuple[str | None, int, int]:
 
 
 def context() -> Any:
-    """That of the program, which has shadows."""
+    """Returns the context of the program, which must have shadow values."""
     if not state.options.shadow:
         raise TaiRuntimeError(
             "kernels have no shadows", "ask for them in front of the program: ti.init(shadow=True)"
@@ -114,7 +114,7 @@ def context() -> Any:
 
 
 def shadow_report() -> ShadowReport:
-    """The lines that lost digits since `ti.init(shadow=True)` or `clear_shadow_report`.
+    """Reports the lines that lost digits since `ti.init(shadow=True)` or `clear_shadow_report`.
 
     See docs/guides/shadow.md.
     """

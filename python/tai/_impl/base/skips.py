@@ -9,7 +9,7 @@ from .program import get_program
 
 
 def format_bytes(count: int) -> str:
-    """An amount of memory, to read."""
+    """Formats a number of bytes with a unit, for reading."""
     value, unit = float(count), 0
     units = ("B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
     while value >= 1024 and unit < len(units) - 1:
@@ -54,7 +54,7 @@ class Skips(dict):
 
 
 def skips() -> Skips:
-    """Counters of skipped work since `ti.init` or the last `clear_skips`.
+    """Returns the counters of skipped work since `ti.init` or the last `clear_skips`.
 
     Returns:
         A dictionary of dictionaries, by the names that `ti.init(skip=…)` takes;
@@ -85,12 +85,12 @@ def _lists(program: Any) -> dict[Any, tuple[int, int]]:
 
 
 def print_skips() -> None:
-    """Prints a table of the counters, one line for each skip."""
+    """Prints a table of the counters of skipped work, one line for each skip."""
     print(skips())
 
 
 def clear_skips() -> None:
-    """Sets the counters to zero."""
+    """Sets the counters of skipped work to zero."""
     if state.program is not None:
         state.program.context.clear_skips()
         state.program.count_kernels_from_here()

@@ -87,12 +87,12 @@ def init(
         chosen["arch"] = cpu
     taken = Options(**chosen)
     program = Program(taken)
-    # Only now nothing can be refused any more: until then the fields live.
+    # The fields are dropped only now, when nothing can be refused any more.
     reset()
     state.options, state.program = taken, program
 
 
-# The keywords are those of the table of options.
+# The keywords of `ti.init` are those in the table of options.
 init.__signature__ = signature_of(KEYWORDS)  # type: ignore[attr-defined]
 if init.__doc__:  # python -OO has none
     init.__doc__ = init.__doc__.replace("    Args:\n", f"    Args:\n{described(KEYWORDS)}\n", 1)

@@ -14,13 +14,13 @@ from typing import Any
 
 # The options of the last `ti.init`, or the defaults before.
 options: Any = None
-# The program, made at the first use.
+# The current program, which is made at its first use.
 program: Any = None
-# The number of kernels that have been defined.
+# The number of kernels that have been defined in this process.
 kernels_made: int = 0
 
 
-# State of one thread; see `_State`.
+# The state of the calling thread, with the members of `_State`.
 emitter: Any
 tape: Any
 forward: bool
@@ -41,7 +41,7 @@ class _OfThread(threading.local):
     version: Any = None
 
     def __init__(self) -> None:
-        # A value that no other thread has, now or later.
+        # An object that identifies the thread: no other thread has it, now or later.
         self.token = object()
 
 
@@ -62,7 +62,7 @@ class _State(types.ModuleType):
 
     @property
     def forward(self) -> bool:
-        """Whether kernels are launched with their tangents."""
+        """Whether the thread is in forward mode: kernels are launched with their tangents."""
         return of_thread.forward
 
     @property
@@ -82,12 +82,12 @@ class _State(types.ModuleType):
 
     @property
     def thread(self) -> object:
-        """Stands for the calling thread."""
+        """Returns an object that stands for the calling thread."""
         return of_thread.token
 
     @property
     def tape(self) -> Any:
-        """The tape that is recording, or None."""
+        """Returns the tape that records this thread, or None."""
         return of_thread.tape
 
 

@@ -19,7 +19,7 @@ _LOOKS = 4
 
 
 class Symbols:
-    """The names of one program.
+    """The symbols (names in IR) of one program, each used once.
 
     Args:
         is_used: whether a kernel of that name is still to be launched; a tape may hold one.
@@ -34,14 +34,14 @@ class Symbols:
         self._taken: dict[str, tuple[str]] = {}  # with the wanted name
         self._next: dict[str, int] = {}
         self._free: dict[str, list[str]] = {}
-        # Given back, by whichever thread, and not looked at yet.
+        # Symbols that any thread has given back, and that are not free yet.
         self._returned: deque[str] = deque()
 
     def __len__(self) -> int:
         return len(self._taken)
 
     def take(self, wanted: str, is_hidden: bool = False) -> str:
-        """A name like `wanted` that nothing else has.
+        """Returns a symbol like `wanted` that no other object has.
 
         Args:
             wanted: as the program has it.
@@ -69,7 +69,7 @@ class Symbols:
                 symbol = free.pop()
             except IndexError:
                 break
-            # Another base may have come to the same name meanwhile.
+            # Another base name may have led to the same symbol meanwhile.
             if self._claim(symbol, base):
                 return symbol
         return None
@@ -83,7 +83,7 @@ class Symbols:
         self._returned.append(symbol)
 
     def settle(self) -> None:
-        """Looks at all names that were given back."""
+        """Frees all symbols that were given back."""
         with self._lock:
             self._settle(len(self._returned))
 
@@ -104,7 +104,7 @@ class Symbols:
 
 
 def _plain(wanted: str) -> str:
-    """IR has letters of English only; `größe` is called `grosse` there."""
+    """Replaces letters that are not English, since IR allows none; `größe` becomes `grosse`."""
     plain = unicodedata.normalize("NFKD", wanted.replace("ß", "ss"))
     plain = "".join(c for c in plain if not unicodedata.combining(c))
     base = "".join(c if c.isascii() and c.isalnum() else "_" for c in plain) or "field"

@@ -23,7 +23,7 @@ python = Arch("python")
 cuda, gpu, vulkan, metal = Arch("cuda"), Arch("gpu"), Arch("vulkan"), Arch("metal")
 opengl, gles, dx11, amdgpu = Arch("opengl"), Arch("gles"), Arch("dx11"), Arch("amdgpu")
 
-# Targets of Taichi, for which `gpu` stands in.
+# The GPU targets of Taichi for which `gpu` is used here.
 _OTHER_GPUS = {vulkan, metal, opengl, gles, dx11, amdgpu}
 _CPU = {cpu, arm64, "x64", "x86_64"}
 

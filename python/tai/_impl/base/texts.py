@@ -36,14 +36,14 @@ _FEATURES = functools.reduce(
 )
 
 
-# The rest of a definition without decorators.
+# The fields of a function definition that are set to remove its decorators.
 _BARE: dict[str, Any] = {"decorator_list": []}
 if sys.version_info >= (3, 12):
     _BARE["type_params"] = []
 
 
 class Text:
-    """The lines of a file at some time.
+    """The lines of a source file as they were at some time.
 
     Attributes:
         filename: of the file.
@@ -83,7 +83,7 @@ class Text:
         return found
 
 
-# The texts of each file that were read, oldest first.
+# For each file, the versions of its text that were read, oldest first.
 _texts: dict[str, list[Text]] = {}
 
 
@@ -91,7 +91,7 @@ def _read(filename: str, names: dict[str, Any]) -> Text:
     linecache.checkcache(filename)
     lines = linecache.getlines(filename, names) or _typed_lines(filename)
     texts = _texts.setdefault(filename, [])
-    # `linecache` makes another list where the file has changed.
+    # If the file has changed, `linecache` makes another list of lines.
     if not texts or (texts[-1].lines is not lines and texts[-1].lines != lines):
         texts.append(Text(filename, lines))
         del texts[:-_MOST_TEXTS]
@@ -149,7 +149,7 @@ def _read_again(filename: str, names: dict[str, Any]) -> Text:
 
 
 def note(function: Callable[..., Any]) -> None:
-    """Keeps the text of a function that is compiled later."""
+    """Keeps the source text of a function that is compiled later."""
     text = _typed_at_prompt(function)
     if text is None:
         text = _read(function.__code__.co_filename, function.__globals__)
@@ -165,7 +165,7 @@ def text_of(function: Callable[..., Any]) -> Text:
 
 
 def definition(function: Callable[..., Any]) -> Definition:
-    """The syntax tree of a function.
+    """Returns the syntax tree of a function, from the text of its file.
 
     Raises:
         TaiSyntaxError: its source is not at hand, or is another one by now.
@@ -217,14 +217,14 @@ def _candidates(function: Callable[..., Any]) -> Iterator[Text]:
     yield from reversed(_texts[filename])
 
 
-# Whether a text and a code object belong together
+# Whether a source text and a code object belong together
 
 
 def _belong(
     function: Callable[..., Any], text: Text, node: Definition,
     check: Callable[[CodeType, CodeType], bool],
 ) -> bool:  # fmt: skip
-    """Whether Python makes the code of a function from a definition."""
+    """Whether a definition is the one from which Python made the code of a function."""
     # A notebook compiles each statement of a cell alone, without the imports of the others.
     for imports in (text.imports, []):
         made = _compile(function.__code__, node, function.__qualname__, imports)
@@ -234,7 +234,7 @@ def _belong(
 
 
 def _is_rewritten(function: Callable[..., Any]) -> bool:
-    """Whether something may have changed the code between the text and Python's compiler.
+    """Whether a tool may have changed the code between the text and Python's compiler.
 
     The loader of a module may, as pytest's does with `assert`, and so may a notebook.
     """
@@ -304,7 +304,7 @@ def _are_same(code: CodeType, other: CodeType) -> bool:
 def _are_same_constants(one: Any, other: Any) -> bool:
     if isinstance(one, CodeType) and isinstance(other, CodeType):
         return _are_same(one, other)
-    # The order of a set means nothing.
+    # The items of a set have no order, so sets are compared as wholes.
     return type(one) is type(other) and (
         one == other if isinstance(one, frozenset) else _shown(one) == _shown(other)
     )
@@ -317,7 +317,7 @@ def _shown(constant: Any) -> str:
 
 
 def _has_all_of(code: CodeType, other: CodeType) -> bool:
-    """Whether the code has all names and constants of another one, and perhaps more."""
+    """Whether one code object has all names and constants of another one, and perhaps more."""
     return set(_parts(other)) <= set(_parts(code))
 
 

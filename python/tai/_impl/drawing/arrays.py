@@ -25,7 +25,7 @@ def numbers(values: Any, dtype: Any = np.float32) -> np.ndarray:
 
 
 def vectors(values: Any, sizes: tuple[int, ...], what: str) -> np.ndarray:
-    """Vectors one below the other, (count, n).
+    """Returns vectors as the rows of an array of shape (count, n).
 
     Args:
         values: as many axes of vectors as they have; the last one is that of components.

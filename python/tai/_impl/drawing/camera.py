@@ -23,7 +23,7 @@ def look_at(position: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndar
 
 
 def perspective(angle: float, aspect: float, near: float, far: float) -> np.ndarray:
-    """A projection whose height spans `angle` degrees."""
+    """The matrix of a perspective projection whose height spans `angle` degrees."""
     scale = 1 / math.tan(math.radians(angle) / 2)
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[1, 1] = scale / aspect, scale
@@ -35,7 +35,7 @@ def perspective(angle: float, aspect: float, near: float, far: float) -> np.ndar
 def orthographic(
     left: float, right: float, bottom: float, top: float, near: float, far: float
 ) -> np.ndarray:
-    """A projection by parallel rays."""
+    """The matrix of a projection by parallel rays."""
     low, high = np.array([left, bottom, -far]), np.array([right, top, -near])
     matrix = np.eye(4)
     matrix[[0, 1, 2], [0, 1, 2]] = 2 / (high - low) * [1, 1, -1]
@@ -59,7 +59,7 @@ class Steering:
         self, window: Any, position: np.ndarray, target: np.ndarray, up: np.ndarray,
         speed: float, yaw_speed: float, pitch_speed: float, hold_key: str | None,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """The new position and target.
+        """Returns the position and target of the camera after a step.
 
         Args:
             speed: distance in a sixtieth of a second.

@@ -19,7 +19,7 @@ _VIRIDIS = (
 
 
 def rgb_bytes(colors: np.ndarray) -> np.ndarray:
-    """Numbers 0xRRGGBB as bytes, with one more axis."""
+    """Turns colours 0xRRGGBB into bytes, along one more axis."""
     colors = np.asarray(colors).astype(np.int64)
     return np.stack([colors >> 16 & 255, colors >> 8 & 255, colors & 255], -1).astype(np.uint8)
 

@@ -15,7 +15,7 @@ from .window import Window
 
 
 class FrameLoop:
-    """A canvas whose frames are shown.
+    """The base of canvases whose frames are shown in a window or written to files.
 
     Attributes:
         frame: number of frames that were shown.
@@ -23,7 +23,7 @@ class FrameLoop:
         fps_limit: frames in a second of a window, at most; None or 0 for no limit.
     """
 
-    # Keys and events, for programs that ask.
+    # The names of keys and events, for programs that compare with them.
     ESCAPE, SPACE, RETURN = events.ESCAPE, events.SPACE, events.RETURN
     SHIFT, CTRL, ALT, TAB = events.SHIFT, events.CTRL, events.ALT, events.TAB
     LEFT, RIGHT, UP, DOWN = events.LEFT, events.RIGHT, events.UP, events.DOWN
@@ -31,9 +31,9 @@ class FrameLoop:
     LMB, MMB, RMB, WHEEL, MOVE = events.LMB, events.MMB, events.RMB, events.WHEEL, events.MOVE
     PRESS, RELEASE, MOTION = events.PRESS, events.RELEASE, events.MOTION
 
-    # Where `tai.view` shows frames of all canvases: a window, or files.
+    # The object by which `tai.view` shows the frames of all canvases: a window, or files.
     screen: Any = None
-    # Whether the user knows where frames go.
+    # Whether the user was told where frames go.
     _is_told = False
 
     fps_limit: float | None = 60
@@ -72,7 +72,7 @@ class FrameLoop:
 
     @property
     def running(self) -> bool:
-        """Whether the program's loop over frames goes on.
+        """Whether the program's loop over frames should go on.
 
         It ends when the window is closed, by its button or the key ESC. Without a window it ends
         after `max_frames` frames.
@@ -118,7 +118,7 @@ class FrameLoop:
             self._screen.keep_pace(self.fps_limit)
 
     def _with_panels(self, picture: Any) -> Any:
-        """A Pillow image with the widgets over it."""
+        """Returns a Pillow image with the widgets drawn over the picture."""
         return paint(picture, self._panels.shown)
 
     def close(self) -> None:
@@ -147,21 +147,23 @@ class FrameLoop:
                 yield event
 
     def get_event(self, *filters: Any) -> bool:
-        """Whether a matching event is pending; it becomes `event`, and later ones stay pending."""
+        """Whether a matching event is pending; it is stored in `event`, and later events stay
+        pending.
+        """
         found = next(self.get_events(*filters), None)
         self.event = self.event if found is None else found
         return found is not None
 
     def get_key_event(self) -> Event | None:
-        """The next press or release; None if none is pending."""
+        """Returns the next press or release of a key; None if none is pending."""
         return next(self.get_events(self.PRESS, self.RELEASE), None)
 
     def has_key_event(self) -> bool:
-        """Whether an event is pending."""
+        """Whether an event of a key is pending."""
         return bool(self._screen and self._screen.has_events())
 
     def is_pressed(self, *keys: Any) -> bool:
-        """Whether one of the keys and buttons is held."""
+        """Whether one of the given keys and mouse buttons is held."""
         held = self._screen.held if self._screen else ()
         return any(key in held for key in keys)
 

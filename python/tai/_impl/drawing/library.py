@@ -14,7 +14,7 @@ INSTALL = 'pip install "tai[view]"'
 _MESA = "apt install libegl1 libgl1 libgl1-mesa-dri"
 _messages: list[str] = []
 _started: list[Any] = []
-# All open windows: they are closed before GLFW stops.
+# All open windows, which are closed before GLFW stops.
 windows: set[Any] = set()
 # OpenGL 3.3 is the newest version that all drivers of the last ten years have.
 _VERSION = 330
@@ -25,14 +25,14 @@ class NoWindow(Exception):
 
 
 def has_display() -> bool:
-    """Whether the process is told of a display; on macOS and Windows there always is one."""
+    """Whether the process has a display; on macOS and Windows there always is one."""
     if not sys.platform.startswith("linux"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def start_glfw() -> Any:
-    """The module of GLFW, initialised.
+    """Returns the module of GLFW, initialised.
 
     Raises:
         NoWindow: there is no display, or no library.
@@ -54,7 +54,7 @@ def start_glfw() -> Any:
 
 
 def stop() -> None:
-    """Closes all windows; the next one may be on another display."""
+    """Closes all windows; the next window may be on another display."""
     for window in list(windows):
         window.close()
     while _started:
@@ -66,7 +66,7 @@ def _note(_: int, text: Any) -> None:
 
 
 def last_message() -> str:
-    """The last error of GLFW, in one line."""
+    """Returns the last error message of GLFW, in one line."""
     return _messages[0].splitlines()[0] if _messages else "GLFW gives no reason"
 
 
@@ -91,7 +91,7 @@ class _Functions:
 
 
 def context_of(glfw: Any, window: Any) -> Any:
-    """The ModernGL context of a window of GLFW."""
+    """Returns the ModernGL context of a window of GLFW."""
     import moderngl
 
     functions: Any = _Functions(glfw, window)
@@ -100,7 +100,7 @@ def context_of(glfw: Any, window: Any) -> Any:
 
 
 def offscreen_context() -> Any:
-    """A ModernGL context without a window.
+    """Makes a ModernGL context without a window.
 
     Raises:
         TaiRuntimeError: a library is missing, or there is no driver.

@@ -21,7 +21,7 @@ Box = tuple[float, float, float, float]
 
 
 class Panels:
-    """The panels of one window.
+    """The panels of widgets in one window.
 
     Attributes:
         size: of the window in pixels.
@@ -39,14 +39,15 @@ class Panels:
         self._height: float | None = None
         self._first = 0
         self._at = (-1.0, -1.0)
-        # Where the button was pressed that is down, and both ends of clicks since the last frame.
+        # The point at which the mouse button was pressed that is down, and both ends of clicks
+        # since the last frame.
         self._grip: Place | None = None
         self._clicks: list[tuple[Place, Place]] = []
 
     # The mouse; places are from 0 to 1, the second one upward.
 
     def move(self, place: Place) -> None:
-        """Takes a new place of the mouse."""
+        """Notes the new position of the mouse."""
         self._at = (place[0] * self.size[0], (1 - place[1]) * self.size[1])
 
     def press(self) -> bool:
@@ -67,7 +68,7 @@ class Panels:
     # Frames
 
     def begin(self, name: str, x: float, y: float, width: float, height: float | None) -> None:
-        """Opens a panel.
+        """Opens a panel, to which the following widgets belong.
 
         Args:
             x, y: its upper left corner in pixels from that of the window.
@@ -87,7 +88,7 @@ class Panels:
         self._drawn.insert(self._first, ("box", *area, _BACK))
 
     def finish(self) -> None:
-        """Ends a frame, in which all clicks have had their effects."""
+        """Ends a frame, whose widgets have handled all clicks."""
         self.shown, self._drawn = self._drawn, []
         self._areas, self._next_areas = self._next_areas, []
         self._clicks.clear()
@@ -101,7 +102,7 @@ class Panels:
             self._row += _ROW
 
     def button(self, label: str) -> bool:
-        """Whether the button was pressed and released since the last frame."""
+        """Whether the widget was clicked since the last frame."""
         box = self._row_box()
         self._box(box, _HOT if self._is_held(box) else _FRAME)
         self._write(box[0] + _PAD, label, _FONT)
@@ -109,7 +110,7 @@ class Panels:
         return self._count(box) > 0
 
     def checkbox(self, label: str, old: bool) -> bool:
-        """The new state of a box that a click changes."""
+        """Returns the new state of a check box, which a click changes."""
         box = self._row_box()
         new = bool(old) != bool(self._count(box) % 2)
         left, top, _, bottom = box
@@ -153,7 +154,7 @@ class Panels:
         return (self._left + _PAD, self._row, right, self._row + _ROW - 4)
 
     def _count(self, box: Box) -> int:
-        """The number of clicks on a widget."""
+        """Returns the number of clicks on a widget since the last frame."""
         return sum(_is_in(begin, box) and _is_in(end, box) for begin, end in self._clicks)
 
     def _is_held(self, box: Box) -> bool:

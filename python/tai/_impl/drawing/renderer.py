@@ -42,7 +42,7 @@ CANVAS = View(
 
 
 class Renderer:
-    """Frames of one context of OpenGL.
+    """Draws frames in one OpenGL context.
 
     Args:
         context: that of ModernGL; the owner has made it the current one before each call.
@@ -57,7 +57,7 @@ class Renderer:
         self._texture: Any = None
 
     def begin(self, size: tuple[int, int], background: tuple[float, ...]) -> None:
-        """Begins a frame of `size` pixels."""
+        """Begins a frame of `size` pixels with a background colour."""
         if size != self._size:
             self._make(size)
         context = self.context
@@ -84,12 +84,12 @@ class Renderer:
         self._size = size
 
     def finish(self) -> Any:
-        """Ends the frame, and returns it as a texture."""
+        """Ends the frame, and returns its picture as a texture."""
         self.context.copy_framebuffer(self._plain, self._smooth)
         return self._texture
 
     def read(self) -> np.ndarray:
-        """The finished frame as bytes (height, width, 4), rows upward."""
+        """Returns the finished frame as bytes (height, width, 4), rows upward."""
         width, height = self._size
         data = self._plain.read(components=4, alignment=1)
         return np.frombuffer(data, np.uint8).reshape(height, width, 4)
@@ -104,7 +104,7 @@ class Renderer:
         self, name: str, view: View, per: str, arrays: dict[str, np.ndarray], indices: Any = None,
         is_deep: bool = True, **uniforms: Any,
     ) -> None:  # fmt: skip
-        """Runs a program.
+        """Runs a shader program on the given vertices.
 
         Args:
             per: "i" for a square for each element of the arrays, "v" for a vertex each.
@@ -156,12 +156,12 @@ class Renderer:
     def particles(
         self, view: View, centers: np.ndarray, radii: np.ndarray, colors: np.ndarray
     ) -> None:
-        """Balls: centres (n, 3), radii (n,), colours (n, 4)."""
+        """Draws balls with centres (n, 3), radii (n,) and colours (n, 4)."""
         arrays = {"center": centers, "radius": radii, "color": colors}
         self._render("particles", view, "i", arrays)
 
     def discs(self, view: View, centers: np.ndarray, radii: np.ndarray, colors: np.ndarray) -> None:
-        """Discs of the canvas, with radii in pixels."""
+        """Draws discs on the canvas, with radii in pixels."""
         arrays = {"center": centers, "radius": radii, "color": colors}
         self._render("discs", view, "i", arrays, is_deep=False)
 
@@ -170,7 +170,7 @@ class Renderer:
         faces: np.ndarray, is_two_sided: bool = False, is_wireframe: bool = False,
         is_deep: bool = True,
     ) -> None:  # fmt: skip
-        """Triangles: rows of three indices of vertices."""
+        """Draws triangles, given by rows of three indices of vertices."""
         arrays = {"position": positions, "normal": normals, "color": colors}
         self.context.wireframe = is_wireframe
         self._render("mesh", view, "v", arrays, faces, is_deep, is_two_sided=is_two_sided)

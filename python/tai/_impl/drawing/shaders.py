@@ -138,7 +138,7 @@ out vec4 pixel;
 void main() {{ pixel = tint; }}
 """
 
-# Discs of the canvas, whose edges are smooth over one pixel.
+# The shader for discs of the canvas, whose edges are smooth over one pixel.
 _DISC_CORNERS = f"""{_HEAD}
 uniform mat4 view, projection;
 uniform vec2 resolution;
@@ -186,7 +186,7 @@ out vec4 pixel;
 void main() {{ pixel = texture(image, place); }}
 """
 
-# The sources for vertices and for pixels of each program.
+# For each shader program, the sources for vertices and for pixels.
 PROGRAMS = {
     "particles": (_PARTICLE_CORNERS, _PARTICLE_PIXELS),
     "mesh": (_MESH_CORNERS, _MESH_PIXELS),

@@ -14,7 +14,7 @@ from .events import Event
 from .panels import Panels
 from .shaders import PROGRAMS
 
-# Before the first picture says how large the window is.
+# The size of a window before the first picture says how large it should be.
 _SIZE = (640, 480)
 
 _NAMES = {
@@ -31,7 +31,7 @@ _BUTTONS = {0: events.LMB, 1: events.RMB, 2: events.MMB}
 
 
 class Window:
-    """A window, and what happens at it.
+    """A window on the screen, and the events of its keyboard and mouse.
 
     Args:
         title: its title.
@@ -143,17 +143,17 @@ class Window:
         self._glfw.hide_window(self._handle)
 
     def add(self, event: Event) -> None:
-        """Adds an event of a widget."""
+        """Adds an event that a widget has caused."""
         self._events.append(event)
 
     def events(self) -> Iterator[Event]:
-        """Takes one event after the other."""
+        """Yields the pending events one after the other."""
         self.has_events()
         while self._events:
             yield self._events.popleft()
 
     def has_events(self) -> bool:
-        """Whether there is one, now."""
+        """Whether an event is pending at present."""
         if self.is_open and self._handle:
             self._glfw.poll_events()
         return bool(self._events)
@@ -219,7 +219,7 @@ class Window:
                 self.keep_pace(framerate)
 
     def wait(self) -> None:
-        """Returns when the window is closed."""
+        """Returns when the user has closed the window."""
         while self.is_open and self._size is not None:
             if self._texture is not None:  # another window may have covered it
                 with self.context:

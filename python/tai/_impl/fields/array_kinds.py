@@ -17,7 +17,7 @@ class _Kind(type):
 
 
 class ScalarNdarray(metaclass=_Kind):
-    """An array of numbers, `ti.ndarray(dtype, shape)`."""
+    """The kind of arrays of numbers, `ti.ndarray(dtype, shape)`, for `isinstance`."""
 
     rank = 0
 
@@ -26,7 +26,7 @@ class ScalarNdarray(metaclass=_Kind):
 
 
 class VectorNdarray(metaclass=_Kind):
-    """An array of vectors, `ti.Vector.ndarray(n, dtype, shape)`."""
+    """The kind of arrays of vectors, `ti.Vector.ndarray(n, dtype, shape)`, for `isinstance`."""
 
     rank = 1
 
@@ -35,7 +35,7 @@ class VectorNdarray(metaclass=_Kind):
 
 
 class MatrixNdarray(metaclass=_Kind):
-    """An array of matrices, `ti.Matrix.ndarray(n, m, dtype, shape)`."""
+    """The kind of arrays of matrices, `ti.Matrix.ndarray(n, m, dtype, shape)`, for `isinstance`."""
 
     rank = 2
 

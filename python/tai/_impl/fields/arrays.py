@@ -21,7 +21,7 @@ from .shapes import to_shape
 
 
 class Ndarray(Elements):
-    """An array around NumPy memory, indexed as a field is.
+    """An array that kernels take, around NumPy memory, indexed like a field.
 
     Attributes:
         array: the memory, of shape `shape + element_shape`.
@@ -87,7 +87,7 @@ class Ndarray(Elements):
         )
 
     def _check_write(self, value: Any) -> None:
-        """Checks a value that Python is to write to it.
+        """Checks a value that Python code is about to write to the array.
 
         Raises:
             TaiRuntimeError: a tape that records minds.
@@ -156,7 +156,7 @@ class Ndarray(Elements):
             pieces.copy(self.array, self._stored(value))
 
     def _stored(self, value: Any) -> Any:
-        """Numbers from Python in the type of the array."""
+        """Converts numbers from Python to the type of the array."""
         if np.ndim(value) == 0 and is_number(value):
             value = value.item() if hasattr(value, "item") else value
             return fitting.stored(value, self.dtype, "the array")
@@ -198,7 +198,7 @@ class Ndarray(Elements):
 def _array_of(
     dtype: Any, shape: tuple[int, ...], element_shape: tuple[int, ...], values: Any, grad: Any
 ) -> Ndarray:
-    """An array that is loaded or copied."""
+    """Makes the array for data that is loaded or copied."""
     made = Ndarray(dtype, shape, element_shape, grad is not None)
     made.array[...] = values
     if made._grad is not None:
@@ -207,7 +207,7 @@ def _array_of(
 
 
 def ndarray(dtype: Any, shape: Any, needs_grad: bool = False) -> Ndarray:
-    """An array of zeros that kernels take as `ti.types.ndarray()`.
+    """Makes an array of zeros that kernels take as `ti.types.ndarray()`.
 
     Args:
         dtype: a number type, or a vector or matrix type.
@@ -221,16 +221,16 @@ def ndarray(dtype: Any, shape: Any, needs_grad: bool = False) -> Ndarray:
 
 
 def _matrix_array(n: int, m: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
-    """An array of n×m matrices; see `ti.ndarray`."""
+    """Makes an array of n×m matrices; see `ti.ndarray`."""
     return Ndarray(dtype, shape, (n, m), needs_grad)
 
 
 def _vector_array(n: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
-    """An array of vectors of n components; see `ti.ndarray`."""
+    """Makes an array of vectors of n components; see `ti.ndarray`."""
     return Ndarray(dtype, shape, (n,), needs_grad)
 
 
-# Matrices know nothing of arrays; `ti.Matrix.ndarray` and `ti.Vector.ndarray` are these.
+# The class Matrix does not know arrays, so its methods `ndarray` are set here.
 for _function, _class in ((_matrix_array, Matrix), (_vector_array, Vector)):
     _function.__name__ = "ndarray"
     _function.__qualname__ = f"{_class.__name__}.ndarray"

@@ -18,7 +18,7 @@ get_kernels: Any = None
 
 
 def is_followed(*values: Any) -> bool:
-    """Whether a copy between these values is differentiated or recorded."""
+    """Whether a copy between these values must be differentiated or recorded."""
     if state.tape is None and not state.forward:
         return False
     return all(getattr(value, "role", "primal") == "primal" for value in values)
@@ -37,17 +37,17 @@ def check_shapes(target: Any, source: Any) -> None:
 
 
 def copy_field(target: Any, source: Any) -> None:
-    """Copies a scalar, vector or matrix field."""
+    """Copies a scalar, vector or matrix field to another field."""
     check_shapes(target, source)
     for field in (target, source):
         _materialize(field)
     if not target.shape:
         get_kernels().copy_number(target, source, target.dtype)
         return
-    # Offsets are of the program; elements are counted from the first.
+    # Offsets belong to the program's indices; elements are counted from the first one.
     shift = tuple(s - t for s, t in zip(_offset(source), _offset(target), strict=True))
     if _is_sparse(target):
-        # Where the target is inactive, cells become active that get something else than zero.
+        # If the target is inactive where the source is not zero, its cells become active.
         back = tuple(-s for s in shift)
         is_number = not target.element_shape
         get_kernels().activate_by(target, source, target.dtype, is_number, back, any(shift))
@@ -55,7 +55,7 @@ def copy_field(target: Any, source: Any) -> None:
 
 
 def copy_array(target: Any, source: Any) -> None:
-    """Copies a `ti.ndarray`, or a field, into a `ti.ndarray`."""
+    """Copies a `ti.ndarray`, or a field, to a `ti.ndarray`."""
     is_field = not hasattr(source, "array")
     if is_field:
         _materialize(source)

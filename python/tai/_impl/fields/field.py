@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .scalar import ScalarField
 
 
-# Longer lists are not searched for a field.
+# The greatest length of a list that is searched for a field.
 _LONGEST = 1000
 
 
@@ -67,7 +67,7 @@ class Field(Elements, Shareable):
     """
 
     offset: Any
-    # The `ti.batch` that it belongs to.
+    # The `ti.batch` to which the field belongs, or None.
     batch: Any = None
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -101,7 +101,7 @@ class Field(Elements, Shareable):
 
     @property
     def name(self) -> str:
-        """The name of the field in messages."""
+        """The name of the field in messages: a variable that holds it, or its symbol."""
         if self.primal is not None:
             return f"{self.primal.name}.{self.role}"
         return self._name or _variable_of(self) or "field"
@@ -120,7 +120,7 @@ class Field(Elements, Shareable):
     # Companions
 
     def _companion(self, which: str) -> Field | None:
-        # A gradient has a dual: the derivative of the gradient.
+        # A gradient can have a dual field, the derivative of the gradient.
         nests = self.role == "primal" or (self.role == "grad" and which == "dual")
         if not self.dtype.is_float or not nests:
             return None
@@ -137,7 +137,7 @@ class Field(Elements, Shareable):
 
     @property
     def dual(self) -> Any:
-        """The field of tangents of forward mode, or None for integers."""
+        """The field of tangents in forward mode, or None for a field of integers."""
         return self._companion("dual")
 
     def _make_companion(self, which: str) -> Field:
@@ -162,7 +162,7 @@ class Field(Elements, Shareable):
                 what = "gradient" if self.role == "grad" else "dual"
                 first = f"make it with needs_{self.role}=True"
                 if getattr(self.primal, f"needs_{self.role}", False):
-                    # The place is not known: the field was placed by hand.
+                    # The place of the companion is not known, because the field was placed by hand.
                     first = f"place it too: level.place({of}, {of}.{self.role})"
                 raise TaiAutodiffError(
                     f"field '{of}' has no {what}",
@@ -184,7 +184,7 @@ class Field(Elements, Shareable):
         return self._place
 
     def parent(self, n: int = 1) -> SNode | None:
-        """The level `n` levels above the field; for 0, its place."""
+        """Returns the level `n` levels above the field; for 0, the place of the field."""
         self._placed_node()
         place = self.snode
         assert place is not None
@@ -195,7 +195,7 @@ class Field(Elements, Shareable):
         return len(self.shape)
 
     def put_into(self, node: SNode, offset: Any = None) -> None:
-        """Becomes a place of the cells of `node`."""
+        """Makes the field a place of the cells of `node`."""
         raise NotImplementedError
 
     def materialize(self, frame: Any = None) -> None:
@@ -209,7 +209,7 @@ class Field(Elements, Shareable):
     # Whole-field operations
 
     def to_numpy(self, dtype: Any = None) -> np.ndarray:
-        """A copy as an array of shape `shape + element_shape`."""
+        """Returns a copy as an array of shape `shape + element_shape`."""
         raise NotImplementedError
 
     def from_numpy(self, array: Any) -> None:
@@ -258,7 +258,7 @@ class Field(Elements, Shareable):
         return f"<{self.dtype} {kind} '{self.name}', {place}>"
 
     def _repr_html_(self) -> str:
-        """The field in a notebook: its statistics, and a picture."""
+        """Shows the field in a notebook: its statistics, and a picture."""
         return importlib.import_module("tai._impl.fields.notebook").field_html(self)
 
     def __iter__(self) -> Any:

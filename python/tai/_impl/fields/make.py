@@ -29,7 +29,7 @@ def make_field(
     needs_dual: bool,
     layout: str = Layout.AOS,
 ) -> Field:
-    """A field, placed under `ti.root` if it has a shape."""
+    """Makes a field, which is placed under `ti.root` if it has a shape."""
     if dtype is float and shape is not None and not to_shape(shape):
         # One element is not worth fewer digits: it is a sum, or a parameter of the program.
         dtype = dtypes.default_fp()
@@ -84,7 +84,7 @@ def field(
     needs_grad: bool = False,
     needs_dual: bool = False,
 ) -> Any:
-    """A field of numbers, or of vectors or matrices.
+    """Makes a field of numbers, or of vectors or matrices.
 
     Args:
         dtype: `ti.f32`, `ti.i32`, …, `int` or `float`, or a type such as `ti.math.vec3`, or a
@@ -113,7 +113,7 @@ def _matrix_field(
     offset: Any = None, needs_grad: bool = False, needs_dual: bool = False,
     layout: str = "aos", ndim: int | None = None,
 ) -> Any:  # fmt: skip
-    """A field of n×m matrices; for the other arguments see `ti.field`."""
+    """Makes a field of n×m matrices; for the other arguments see `ti.field`."""
     return make_field(
         (to_extent(n), to_extent(m)), dtype, shape, order, name or None, offset, needs_grad,
         needs_dual, layout,
@@ -132,7 +132,7 @@ def _vector_field(
     )  # fmt: skip
 
 
-# Matrices know nothing of fields; `ti.Matrix.field` and `ti.Vector.field` are these.
+# The class Matrix does not know fields, so its methods `field` are set here.
 for _function, _class in ((_matrix_field, Matrix), (_vector_field, Vector)):
     _function.__name__ = "field"
     _function.__qualname__ = f"{_class.__name__}.field"

@@ -19,7 +19,7 @@ from .whole import WholeElements
 
 
 class MatrixField(Field):
-    """A small vector or matrix per element.
+    """A field with a small vector or matrix in each element.
 
     It is stored as one place, unless its components were placed one by one
     (`get_scalar_field`) or it was made with `layout=ti.Layout.SOA`.
@@ -82,7 +82,7 @@ class MatrixField(Field):
 
     @property
     def is_split(self) -> bool:
-        """Whether each component is an array of its own."""
+        """Whether each component of the field is stored as an array of its own."""
         return self._single is None and any(c._level is not None for c in self._components or ())
 
     @property
@@ -103,7 +103,7 @@ class MatrixField(Field):
         splits = isinstance(primal, MatrixField) and primal.is_split
         if self.level is not None or (self.is_split and not splits):
             raise TaiRuntimeError(f"field '{self.name}' is placed already")
-        # Ctrl-C may have come when half of this was done.
+        # Ctrl-C may have interrupted an earlier call when half of this was done.
         if splits:
             # A gradient is stored as its field is: one array for each component.
             for component in self.components:
@@ -115,7 +115,7 @@ class MatrixField(Field):
         self._single.put_into(node, offset)
 
     def materialize(self, frame: Any = None) -> None:
-        """Allocates the tree of the field."""
+        """Allocates the tree that holds the field."""
         self._placed_node()
         for part in self.parts:
             part.materialize(frame)
@@ -141,7 +141,7 @@ class MatrixField(Field):
         return ElementOfField(self, index_tuple(key))
 
     def read(self, key: tuple) -> np.ndarray:
-        """The components of one element."""
+        """Returns the components of one element."""
         if self._single is not None:
             try:
                 values = self._single.core.get_all(key)
@@ -154,7 +154,7 @@ class MatrixField(Field):
         return np.array(values, self.dtype.numpy).reshape(self.element_shape)
 
     def write(self, key: tuple, component: int, value: Any) -> None:
-        """Sets one component of one element."""
+        """Sets one component of one element of the field."""
         if self._single is not None:
             self._single.set_component(key, component, value)
         else:
@@ -197,7 +197,7 @@ class MatrixField(Field):
     def to_numpy(  # type: ignore[override]
         self, keep_dims: bool = False, dtype: Any = None
     ) -> np.ndarray:
-        """A copy as an array of shape `shape + element_shape`.
+        """Returns a copy as an array of shape `shape + element_shape`.
 
         Args:
             keep_dims: give elements of one column, vectors too, a dimension of 1 for it.

@@ -13,7 +13,7 @@ import numpy as np
 
 # The longer side of a picture in pixels, and the most numbers that are looked at.
 _SIDE, _MOST = 256, 1 << 24
-# The most letters of an IR that are shown.
+# The most letters of IR that a notebook shows.
 _LETTERS = 100_000
 
 
@@ -29,7 +29,7 @@ def field_html(field: Any) -> str:
 
 
 def statistics(array: np.ndarray) -> str:
-    """Least, greatest and mean number, and how many are not finite."""
+    """Describes an array by its least, greatest and mean number, and how many are not finite."""
     if not array.size:
         return "no elements"
     if array.dtype.kind != "f":
@@ -95,7 +95,7 @@ def _folded(title: str, text: str) -> str:
 
 
 def table_html(title: str, rows: Mapping[str, Any]) -> str:
-    """A line, and a table of names and numbers."""
+    """Makes a line of HTML, and a table of names and numbers."""
     cells = "".join(
         f"<tr><td>{html.escape(name)}</td><td>{html.escape(f'{value:,}')}</td></tr>"
         for name, value in rows.items()

@@ -37,7 +37,7 @@ def _alignment(part: Any) -> int:
 
 
 def _place_offset(record: list, field: Any = None) -> int:
-    """Where a field is in a record; without one, where the record ends."""
+    """Returns the offset of a field in a record; without a field, the end of the record."""
     offset = 0
     for other in record:
         offset = _align(offset, _number_size(other))
@@ -76,7 +76,7 @@ def cell_size(node: SNode) -> int:
 
 
 def offset_in_parent(node: SNode) -> int:
-    """Where the first cell of a level, or a field, is in the cell above."""
+    """Returns the offset of the first cell of a level, or of a field, in the cell above."""
     if node.kind == "root":
         return 0
     above = node._parent

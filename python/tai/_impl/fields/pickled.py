@@ -19,7 +19,7 @@ from .scalar import ScalarField
 
 
 def describe(field: Any) -> tuple:
-    """The function that makes the field anew, and its arguments.
+    """Returns the function that makes a pickled field anew, and its arguments.
 
     Raises:
         TaiRuntimeTypeError: a field in lists, whose lengths are not kept.
@@ -62,7 +62,7 @@ def _is_sparse(field: Any) -> bool:
 
 
 def _active_part(part: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The indices of active elements, and their values."""
+    """Returns the indices of the active elements of a sparse field, and their values."""
     part.materialize()
     where = active.active_elements(part)
     assert where is not None
@@ -72,7 +72,7 @@ def _active_part(part: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def make(state: dict[str, Any]) -> Any:
-    """A field of that description, in the program that runs."""
+    """Makes a field from a pickled description, in the current program."""
     if state["element_shape"]:
         made: Any = MatrixField(state["element_shape"], state["dtype"], state["name"])
     else:
@@ -104,7 +104,7 @@ def make(state: dict[str, Any]) -> Any:
 
 
 def companion_of(field: Any, which: str) -> Any:
-    """The gradient or dual of a field."""
+    """Returns the gradient or dual of a field."""
     return getattr(field, which)
 
 

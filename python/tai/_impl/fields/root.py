@@ -14,7 +14,7 @@ from .snode import Root
 
 
 def open_root(program: Program) -> Root:
-    """The root of the tree that is being laid out."""
+    """Returns the root of the tree that is being laid out."""
     if program.root is None:
         with program.layout:
             if program.root is None:
@@ -76,7 +76,7 @@ def name_fields(namespace: dict[str, Any]) -> None:
 
 
 class _Root:
-    """`ti.root`: the root of the tree that is being laid out."""
+    """The type of `ti.root`, which stands for the root of the tree that is being laid out."""
 
     is_root = True
 

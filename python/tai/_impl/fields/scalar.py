@@ -49,7 +49,7 @@ class ScalarField(Field):
         return f"vector<{'x'.join(map(str, self.element_shape))}x{self.dtype.mlir}>"
 
     def put_into(self, node: SNode, offset: Any = None) -> None:
-        """Becomes a place of the cells of `node`."""
+        """Makes the field a place of the cells of `node`."""
         if self._level is not None:
             raise TaiRuntimeError(f"field '{self.name}' is placed already")
         if offset is not None:
@@ -73,7 +73,7 @@ class ScalarField(Field):
                     companion.put_into(self._placed_node(), self.offset or None)
         placed = {which: f for which, f in self._companions.items() if f.level is not None}
         if self.role == "primal" and len(placed) == 2:
-            # Both modes together give the derivative of the gradient.
+            # Reverse mode in forward mode needs this place: the derivative of the gradient.
             first = placed["grad"]
             second = first._companion("dual")
             if second is not None and second.level is None:
@@ -94,7 +94,7 @@ class ScalarField(Field):
             self.symbol = program.unique_symbol(self._name or "field")
 
     def declaration(self, tree: str) -> str:
-        """The `tai.field` op of this field."""
+        """Returns the text of the `tai.field` op that declares this field."""
         text = f'tai.field @{self.symbol} = @{tree}["{self.symbol}"] : {self.mlir_type}'
         text += f", rank {len(self._placed_node().shape)}"
         for which, word in (("grad", "adjoint"), ("dual", "dual")):
@@ -108,7 +108,7 @@ class ScalarField(Field):
         return text
 
     def declare(self, program: Any, tree: str) -> None:
-        """Makes the field known to the C++ context."""
+        """Declares the field in the C++ context."""
         self._core = program.context.add_field(self.declaration(tree))
         program.fields[self.symbol] = self
 
@@ -123,13 +123,13 @@ class ScalarField(Field):
 
     @property
     def core(self) -> Any:
-        """The field in C++; allocates its tree at the first use."""
+        """The field as a C++ object; the first use allocates its tree."""
         if self._core is None:
             self.materialize(sys._getframe(1))
         return self._core
 
     def materialize(self, frame: Any = None) -> None:
-        """Allocates the tree of the field.
+        """Allocates the tree that holds the field.
 
         Raises:
             TaiRuntimeError: it is not placed, or it belongs to an earlier `ti.init`.
@@ -150,7 +150,7 @@ class ScalarField(Field):
                 f"field '{self.name}' is not there, as its tree was refused: {root.refused}"
             )
         if root is program.root or any(root is other for other in program.laid_out):
-            # If another thread is laying out the tree, this call waits for it.
+            # If another thread is laying out the tree, this call waits for that thread.
             materialize(program)
         elif not root.allocated:
             raise TaiRuntimeError(
@@ -164,7 +164,7 @@ class ScalarField(Field):
             )
 
     def is_current(self) -> bool:
-        """Whether the field is one of the program that runs now."""
+        """Whether the field belongs to the current program, made by the last `ti.init`."""
         program = state.program
         return program is not None and program.fields.get(self.symbol) is self
 
@@ -261,7 +261,7 @@ class ScalarField(Field):
 
 
 class ComponentField(ScalarField):
-    """One component of a vector or matrix field.
+    """The field of one component of a vector or matrix field.
 
     Placing it makes the components of that field separate arrays. Otherwise it is a
     window on the place that the whole field has.

@@ -11,7 +11,7 @@ from .snode import AXIS_NAMES, Axes
 
 
 def to_shape(shape: Any) -> tuple[int, ...]:
-    """The extents that a shape means: a number is one extent.
+    """Returns the extents that an argument `shape` means: a number is one extent.
 
     Raises:
         TaiRuntimeTypeError: something else than whole numbers, or too many of them.
@@ -31,7 +31,7 @@ def to_shape(shape: Any) -> tuple[int, ...]:
 
 
 def to_order(order: str | None, rank: int) -> Axes:
-    """The axes in the order of storage, slowest first."""
+    """Returns the axes in the order of storage, the slowest first."""
     if order is None:
         return Axes(range(rank))
     if sorted(order) != sorted(AXIS_NAMES[:rank]):

@@ -12,7 +12,7 @@ _UNSAID: Any = object()
 
 
 class Shareable:
-    """The methods of fields for torch and DLPack."""
+    """Gives fields the methods by which torch and DLPack share their memory."""
 
     def to_torch(self, device: Any = None) -> Any:
         """A copy as a torch tensor: on the GPU that kernels run on, without the host."""
@@ -53,7 +53,7 @@ class Shareable:
         return capsule
 
     def _lend_memory(self) -> Any:
-        """An object that keeps the memory of the field."""
+        """Returns an object that keeps the memory of the field alive."""
         return sharing.owner_of(self)
 
     @property
@@ -70,5 +70,5 @@ class Shareable:
         return found
 
     def __dlpack_device__(self) -> tuple[int, int]:
-        """Where the field is: `(1, 0)` for the host, `(2, 0)` for the GPU."""
+        """Tells DLPack where the field is: `(1, 0)` for the host, `(2, 0)` for the GPU."""
         return sharing.field_device(self)

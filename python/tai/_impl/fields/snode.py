@@ -25,7 +25,7 @@ AXIS_NAMES = "ijklmnopqrst"
 
 
 class Axes(tuple):
-    """One or more axes: `ti.i`, `ti.ij`, `ti.axes(0, 2)`."""
+    """One or more axes of a layout: `ti.i`, `ti.ij`, `ti.axes(0, 2)`."""
 
     __slots__ = ()
 
@@ -34,7 +34,7 @@ class Axes(tuple):
 
 
 def axes(*numbers: int) -> Axes:
-    """The axes of these numbers, 0 being `i`."""
+    """Returns the axes with these numbers, 0 being `i`."""
     for number in numbers:
         if not isinstance(number, int) or not 0 <= number < len(AXIS_NAMES):
             raise TaiRuntimeTypeError(f"there is no axis {number!r}: axes are 0 to 11")
@@ -42,7 +42,7 @@ def axes(*numbers: int) -> Axes:
 
 
 class SNode:
-    """A level of a layout.
+    """A level of the layout tree of fields.
 
     Attributes:
         kind: `root`, `dense`, `pointer`, `bitmasked`, `hash` or `dynamic`.
@@ -65,15 +65,15 @@ class SNode:
     # Levels
 
     def dense(self, axes: Axes, dimensions: Any) -> SNode:
-        """A block of cells that all exist, the last axis fastest."""
+        """Adds a level of cells that all exist, the last axis fastest."""
         return self._add("dense", axes, dimensions)
 
     def pointer(self, axes: Axes, dimensions: Any) -> SNode:
-        """Coarse cells that become active on first write."""
+        """Adds a level of coarse cells, each of which becomes active on the first write."""
         return self._add("pointer", axes, dimensions)
 
     def bitmasked(self, axes: Axes, dimensions: Any) -> SNode:
-        """Cells of which each has an activity bit."""
+        """Adds a level of cells, each of which has an activity bit."""
         return self._add("bitmasked", axes, dimensions)
 
     def hash(self, axes: Axes, dimensions: Any) -> SNode:
@@ -96,7 +96,7 @@ class SNode:
         return self._add("dynamic", axis, dimension, chunk_size or 0)
 
     def quant_array(self, axes: Axes, dimensions: Any, max_num_bits: int) -> SNode:
-        """Numbers of a few bits side by side: not built in."""
+        """Refuses levels with numbers of a few bits side by side, which are not built in."""
         refuse_quant("quant_array")
 
     def _add(self, kind: str, axes: Any, dimensions: Any, chunk: int = 0) -> SNode:
@@ -152,7 +152,7 @@ class SNode:
                     )
 
     def place(self, *fields: Any, offset: Any = None) -> SNode:
-        """Puts one element of each field into each cell.
+        """Puts one element of each of the fields into each cell of this level.
 
         Args:
             fields: fields without a place; lists and tuples of them are taken apart.
@@ -208,7 +208,7 @@ class SNode:
         return node  # type: ignore[return-value]
 
     def path(self) -> list[SNode]:
-        """The levels from the root's child down to this one."""
+        """The levels from the root's child down to this level."""
         levels = []
         node: SNode | None = self
         while node is not None and node._parent is not None:
@@ -217,7 +217,7 @@ class SNode:
         return levels[::-1]
 
     def nearest_sparse(self) -> SNode | None:
-        """This level or the innermost one above it whose cells can be inactive."""
+        """Returns this level or the innermost level above it whose cells can be inactive."""
         return next((level for level in self.path()[::-1] if level.kind != "dense"), None)
 
     def axis_extents(self) -> dict[int, int]:
@@ -256,12 +256,12 @@ class SNode:
 
     @property
     def num_active(self) -> int:
-        """The number of active cells of a sparse level."""
+        """The number of active cells of this sparse level."""
         context, tree, number = self._sparse()
         return context.sparse_level(tree, number)[2]
 
     def active_cells(self) -> Any:
-        """The indices of the active cells of a sparse level.
+        """The indices of the active cells of this sparse level.
 
         Returns:
             A NumPy array of shape (number of active cells, dimensions), in the order of memory.
@@ -295,16 +295,16 @@ class SNode:
     # Properties of levels that Taichi programs query
 
     def _get_children(self) -> list[SNode]:
-        """The levels and places in a cell."""
+        """The levels and fields in a cell of this level."""
         found = [c if isinstance(c, SNode) else c.snode for c in self.children]
         return [child for child in found if child is not None]
 
     def _path_from_root(self) -> list[SNode]:
-        """From the root down to this level."""
+        """The levels from the root down to this level."""
         return [self.root_node, *self.path()]
 
     def _physical_index_position(self) -> dict[int, int]:
-        """The axis of each index."""
+        """For each index of the fields below, by number, the axis along which it runs."""
         return dict(enumerate(self.axis_extents()))
 
     @property
@@ -335,7 +335,7 @@ class SNode:
         return self.kind
 
     def _allocate(self) -> None:
-        """Allocates the tree, as the first use of a field does."""
+        """Allocates the tree of this level, as the first use of a field does."""
         field = next(self.places(), None)
         if field is None:
             raise TaiRuntimeError("this level holds no field", "place one below it")
@@ -379,7 +379,7 @@ class SNode:
                 yield from child.sparse_levels()
 
     def places(self) -> Iterator[ScalarField]:
-        """The fields below, in storage order."""
+        """Yields the fields below this level, in storage order."""
         for child in self.children:
             if isinstance(child, SNode):
                 yield from child.places()
@@ -387,11 +387,11 @@ class SNode:
                 yield child
 
     def layout(self) -> str:
-        """The tree below the root as a `!tai.root` type."""
+        """Returns the tree below the root as text of the type `!tai.root`."""
         return f"!tai.root<{', '.join(self._bodies()['primal'])}>"
 
     def _level(self, role: str) -> str:
-        """This level in the assembly of `!tai.root`, without the prefix.
+        """Returns the text of this level in the type `!tai.root`, without the prefix.
 
         A dense level with gradients becomes a level for each role, side by side: a forward kernel
         then reads and writes whole cache lines of primal values. Sparse levels keep gradients in
@@ -448,7 +448,7 @@ class SNode:
         return f"{self._parent!r}.{self.kind}(ti.{names}, {self.extents})"
 
     def as_tree(self, depth: int = 0) -> str:
-        """The levels and fields below this one, a line each."""
+        """Describes the levels and fields below this level, with a line for each."""
         axes = "".join(AXIS_NAMES[a] for a in self.axes)
         own = "ti.root" if self.kind == "root" else f"{self.kind}(ti.{axes}, {self.extents})"
         lines = ["  " * depth + own]
@@ -461,7 +461,7 @@ class SNode:
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """The tree in a notebook."""
+        """Shows the tree in a notebook."""
         return f"<pre>{html.escape(self.as_tree())}</pre>"
 
     def __str__(self) -> str:
@@ -513,7 +513,7 @@ class Place(SNode):
 
 
 def _check_size(fields: list[Any]) -> None:
-    """Refuses dense fields whose size in bytes is no 64-bit number."""
+    """Refuses dense fields whose size in bytes does not fit a 64-bit number."""
     for field in fields:
         path = field.level.path()
         if any(level.kind not in ("dense", "root") for level in path):
@@ -527,16 +527,16 @@ def _check_size(fields: list[Any]) -> None:
 
 
 class Root(SNode):
-    """The root of one tree."""
+    """The root of one layout tree."""
 
     def __init__(self) -> None:
         super().__init__("root", None)
         self.allocated = self.is_destroyed = False
         self.tree: str | None = None
-        # Its name in the context.
+        # The symbol of the tree in the context, or None.
         self._symbol: str | None = None
         self.number: int | None = None
-        # Why there is no such tree.
+        # The reason why the tree could not be allocated, or None.
         self.refused: str | None = None
         # Held by the thread that allocates the tree. No `Lock`: roots come and go, and Python loses
         # a Ctrl-C that comes as the set of all locks forgets one. See `root.begin_in_child`.
@@ -585,12 +585,12 @@ class Root(SNode):
         self.tree, self.number = tree, program.num_trees
         program.num_trees += 1
         program.trees[tree] = self
-        # Adjoints first, so that they exist when a primal names them.
+        # Adjoints are declared first, so that they exist when a primal field names them.
         for field in sorted(fields, key=lambda f: f.role == "primal"):
             field.declare(program, self.tree)
 
     def _undo(self, program: Program) -> None:
-        """Restores the state before the allocation."""
+        """Restores the state before the allocation of the tree."""
         for field in self.places():
             field.release()
             if field.symbol is not None:
@@ -606,7 +606,7 @@ class Root(SNode):
         self.allocated = False
 
     def __eq__(self, other: Any) -> bool:
-        # All roots are `ti.root`, as programs compare parents with it.
+        # All roots count as equal to `ti.root`, because programs compare parents with it.
         return isinstance(other, Root) or getattr(other, "is_root", False)
 
     __hash__ = object.__hash__
@@ -632,26 +632,26 @@ class FieldsBuilder:
 
     @property
     def root(self) -> Root:
-        """The root of the tree."""
+        """The root of the tree that this builder lays out."""
         return self._root
 
     @property
     def empty(self) -> bool:
-        """Whether nothing was laid out yet."""
+        """Whether nothing was laid out in this builder yet."""
         return not self._root.children
 
     @property
     def finalized(self) -> bool:
-        """Whether the fields are allocated."""
+        """Whether the fields of this builder are allocated."""
         return self._root.allocated
 
     @classmethod
     def _finalized_roots(cls) -> list[Root]:
-        """The roots of all trees in use."""
+        """Returns the roots of all allocated trees."""
         return [] if state.program is None else list(state.program.trees.values())
 
     def finalize(self, raise_warning: bool = True) -> SNodeTree:
-        """Allocates the fields.
+        """Allocates the fields of this builder.
 
         Raises:
             TaiRuntimeError: the tree holds no field, or is finalized already.

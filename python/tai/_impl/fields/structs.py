@@ -55,7 +55,7 @@ class StructType:
             self.members[name] = kind
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Sets a method where the value is a function."""
+        """Sets an attribute of the type; a function becomes a method of its structs."""
         if not inspect.isfunction(value):
             object.__setattr__(self, name, value)
             return
@@ -130,13 +130,13 @@ class StructType:
         return self.value_of(entries)
 
     def value_of(self, entries: dict[str, Any]) -> Struct:
-        """A struct in Python, of members that have their types."""
+        """Makes a struct in Python from members that already have their types."""
         made = Struct(entries, self.methods)
         object.__setattr__(made, "_type", self)
         return made
 
     def field(self, shape: Any = None, layout: Any = Layout.AOS, **options: Any) -> StructField:
-        """A field of such structs; for the arguments see `ti.field`."""
+        """Makes a field of such structs; for the arguments see `ti.field`."""
         return make_struct_field(self, shape, layout, **options)
 
     def __repr__(self) -> str:
@@ -228,14 +228,14 @@ def _method(struct: Struct, name: str, problem: str) -> Any:
 class Struct:
     """A struct in Python: `ti.Struct(a=1, b=ti.Vector([1.0, 2.0]))`, with members as attributes."""
 
-    # The attribute that a template argument is compared by.
+    # The name of the attribute by which template arguments of this class are compared.
     _tai_content = "_content"
 
     def __init__(self, entries: dict[str, Any] | None = None, methods: Any = None, **more: Any):
         object.__setattr__(self, "entries", {**(entries or {}), **more})
         object.__setattr__(self, "methods", dict(methods or {}))
 
-    # The type that made it, or None.
+    # The struct type that made this struct, or None.
     _type: StructType | None = None
 
     def __reduce__(self) -> Any:
@@ -288,7 +288,7 @@ class Struct:
     def field(
         members: dict[str, Any], shape: Any = None, layout: Any = Layout.AOS, **options: Any
     ) -> StructField:
-        """A field of structs; `members` gives each member its type."""
+        """Makes a field of structs; `members` gives each member its type."""
         return make_struct_field(StructType(members), shape, layout, **options)
 
 
@@ -298,7 +298,7 @@ def items_of(struct: Any) -> Any:
 
 
 def leaves_of(field: StructField) -> Iterator[Field]:
-    """The fields of numbers, vectors and matrices, in order."""
+    """Yields the fields of numbers, vectors and matrices in a struct field, in order."""
     for member in field.members.values():
         if isinstance(member, StructField):
             yield from leaves_of(member)
@@ -307,7 +307,7 @@ def leaves_of(field: StructField) -> Iterator[Field]:
 
 
 def first_of(field: StructField) -> Field:
-    """The first of them, which says what indices there are."""
+    """Returns the first field in a struct field, which has the shape of all members."""
     return next(leaves_of(field))
 
 
@@ -336,7 +336,7 @@ class StructField(Field):
         members: the fields by name; `f.pos` is `f.members["pos"]`.
     """
 
-    # Methods that a member may hide.
+    # Names of methods that a member of the same name may hide.
     _YIELDING = ("copy_from", "fill", "parent")
 
     def __init__(self, type_: StructType, members: dict[str, Field], role: str = "primal"):
@@ -372,10 +372,10 @@ class StructField(Field):
         return list(self.members)
 
     def get_member_field(self, key: str) -> Field:
-        """The field of one member."""
+        """Returns the field of one member."""
         return self.members[key]
 
-    # Attributes that a member may hide.
+    # Names of attributes that a member of the same name may hide.
     _OR_MEMBER = {
         "name": lambda self: super().name,
         "level": lambda self: first_of(self).level,
@@ -416,7 +416,7 @@ class StructField(Field):
             member.put_into(node, offset)
 
     def materialize(self, frame: Any = None) -> None:
-        """Allocates the tree of the field."""
+        """Allocates the tree that holds the field."""
         self._placed_node()
         for leaf in leaves_of(self):
             leaf.materialize(frame)
@@ -435,7 +435,7 @@ class StructField(Field):
             self.members[name][key] = member
 
     def to_numpy(self, dtype: Any = None) -> dict[str, Any]:  # type: ignore[override]
-        """A copy as a dictionary of arrays."""
+        """Returns a copy as a dictionary of arrays."""
         return {name: member.to_numpy(dtype=dtype) for name, member in self.members.items()}
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
@@ -475,7 +475,7 @@ class StructField(Field):
             member.copy_from(other.members[name])
 
     def _repr_html_(self) -> str:
-        """The fields of all members in a notebook."""
+        """Shows the fields of all members in a notebook."""
         return "<br>".join(member._repr_html_() for member in self.members.values())
 
     def __str__(self) -> str:

@@ -13,7 +13,7 @@ from .structs import StructType
 
 
 class Triplets:
-    """Arrays that kernels append entries to.
+    """Three arrays (rows, columns, values) to which kernels append entries of a sparse matrix.
 
     Entries that do not fit go behind the last one, and are counted.
 
@@ -35,7 +35,7 @@ class Triplets:
         self.count = np.zeros(1, np.int32)
 
     def items(self) -> dict[str, np.ndarray]:
-        """The arrays by the names that kernels know them by."""
+        """Returns the arrays of the builder by the names that kernels use for them."""
         return {name: getattr(self, name) for name in TripletsType.NAMES}
 
 
@@ -54,7 +54,7 @@ class TripletsType(StructType):
         return "ti.types.sparse_matrix_builder()"
 
     def take(self, kernel: str, name: str, value: Any) -> dict[str, np.ndarray]:
-        """The arrays of an argument."""
+        """Returns the arrays of a builder that is an argument of a kernel."""
         if not isinstance(value, Triplets):
             raise TaiRuntimeTypeError(
                 f"argument '{name}' of kernel '{kernel}' expects a sparse matrix builder, but got "

@@ -41,10 +41,10 @@ class _Array:
 
 
 def _with_gradient(array: Any, grad: Any) -> Any:
-    """The array as kernels take it to be differentiated by."""
+    """Returns the array in the form in which kernels are differentiated by it."""
     if not isinstance(array, np.ndarray):
         return _Array(array, grad)
-    # The launcher knows this class.
+    # The launcher recognises objects of the class Ndarray.
     whole: Any = Ndarray.__new__(Ndarray)
     part: Any = Ndarray.__new__(Ndarray)
     for made, memory in ((whole, array), (part, grad)):
@@ -63,7 +63,7 @@ class _Task:
         self._checked: set[tuple] = set()
 
     def run(self, operands: list[Any], results: list[Any]) -> None:
-        """Runs the call, once for each element of a batch."""
+        """Runs the kernel on the operands, once for each element of a batch."""
         types = tuple([o.dtype for o in operands])
         if types not in self._checked:
             for operand in operands[: len(self._operator.inputs)]:
@@ -83,7 +83,7 @@ class _Task:
         self._run(operands, results)
 
     def _run(self, operands: list[Any], results: list[Any]) -> None:
-        # The dimensions of a batch come first.
+        # The dimensions of a batch come before the dimensions of the parameters.
         depth = operands[0].ndim - self._ranks[0] if operands else 0
         if depth == 0:
             self._run_with(self._operator, operands, results)
@@ -132,7 +132,7 @@ class _Task:
 
 
 def _called(attributes: dict, operands: list, results: list, stream: int) -> None:
-    """XLA calls this by way of the handler of each platform."""
+    """Runs an operator; XLA calls this function through the handler of each platform."""
     if attributes.get("session") != _SESSION:
         raise TaiRuntimeError("the program was compiled by another process", "compile it again")
     task = _tasks[attributes["task"]]
@@ -198,8 +198,8 @@ class Operator:
         self.inputs = [n for n in kinds if n not in outputs]
         self.outputs = [n for n in kinds if n in outputs]
         self._kinds = [kinds[n] for n in self.inputs]
-        # Whether a gradient needs values of outputs that later stores overwrite; not known before
-        # the kernel is compiled.
+        # Whether a gradient needs output values that later stores overwrite; None before
+        # compilation.
         self._needs_tape: bool | None = None if isinstance(function, Kernel) else True
         self._numbers: dict[tuple, int] = {}
         self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
@@ -221,7 +221,7 @@ class Operator:
     # What JAX traces
 
     def __call__(self, *inputs: Any, **named: Any) -> Any:
-        """Computes the outputs of arrays and numbers.
+        """Computes the outputs of the operator from arrays and numbers.
 
         Args:
             inputs: one for each parameter that is no output, in order.
@@ -269,7 +269,7 @@ class Operator:
     def _emit(
         self, results: list[Any], operands: Sequence[Any], wanted: Any, cleared: int
     ) -> list[Any]:
-        """Emits a call of XLA.
+        """Emits the custom call by which XLA runs the operator.
 
         Args:
             results: their types. The last operands lend their memory to those after `cleared`.
@@ -413,7 +413,7 @@ class Operator:
             store_number(result, value.grad)
 
     def _reads_outputs(self, operands: list[Any], inputs: list[Any]) -> bool:
-        """Whether the kernel reads elements of outputs, whose earlier values a tape keeps."""
+        """Whether the kernel reads elements of outputs, of which a tape keeps earlier values."""
         if self._needs_tape is None:
             types = self._result_types(operands)
             outputs = [zeros_like(type_, operands[0]) for type_ in types]

@@ -9,7 +9,7 @@ from ...errors import TaiRuntimeError, TaiRuntimeTypeError
 from ..launch.kernels import Kernel
 from ..values.types import NdarrayType, ScalarType
 
-# Kinds of types of numbers.
+# The Python names of kinds of number types.
 _KINDS = {"f": "float", "i": "int", "u": "int", "b": "bool"}
 
 
@@ -58,12 +58,12 @@ def kinds_of(function: Any, user: str) -> dict[str, str]:
 
 
 def asks_for_tape(error: TaiRuntimeError) -> bool:
-    """Whether a gradient was refused, before it ran, because only a tape has all that it needs."""
+    """Whether a gradient was refused before it ran because only a tape has the values it needs."""
     return type(error) is TaiRuntimeError and "under a tape" in error.message
 
 
 def in_order(what: str, names: list[str], inputs: tuple, named: dict[str, Any]) -> tuple:
-    """The inputs of a call in the order of their names.
+    """Returns the inputs of a call in the order of their names.
 
     Args:
         what: the operator, for messages.
@@ -126,7 +126,7 @@ def check_outputs(function: str, outputs: Any, kinds: dict[str, str], like: str)
 
 
 def _takes(function: Any, count: int) -> bool:
-    """Whether a function can be called with so many values."""
+    """Whether a function can be called with `count` positional arguments."""
     try:
         inspect.signature(function).bind(*[None] * count)
     except TypeError:

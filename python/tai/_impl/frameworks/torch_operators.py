@@ -39,9 +39,9 @@ _is_tracing = torch._C._is_tracing
 _numbers = itertools.count()
 # Operators by name. Torch keeps them for as long as the process, too.
 _known: dict[str, Operator] = {}
-# Types of tensors that have no behaviour of their own.
+# Classes of tensors that have no behaviour of their own, unlike subclasses.
 _PLAIN = (torch.Tensor, torch.nn.Parameter)
-# Types of parameters in schemas of torch.
+# The types of parameters as they are called in schemas of torch.
 _SCHEMA = {"array": "Tensor", "float": "float", "int": "SymInt", "bool": "bool"}
 
 
@@ -66,7 +66,7 @@ class Operator:
         self.outputs = [n for n in kinds if n in outputs]
         self._is_tensor = [kinds[n] == "array" for n in self.inputs]
         self._takes_numbers = not all(self._is_tensor)
-        # A tensor of it goes to the launcher as it is.
+        # The launcher of a kernel takes tensors as they are.
         self._is_kernel = isinstance(function, Kernel)
         # For each parameter in order: whether it is an input, and its number among those or among
         # the outputs.
@@ -79,7 +79,7 @@ class Operator:
             self.inputs.index(s) if isinstance(s, str) else None
             for s in (outputs[n] for n in self.outputs)
         ]
-        # The same as `_models`, where all outputs are like an input.
+        # The same list as `_models`, if all outputs are like an input.
         numbers = [m for m in self._models if m is not None]
         self._likes = numbers if len(numbers) == len(self._models) else None
         self._known: set[tuple] = set()
@@ -129,7 +129,7 @@ class Operator:
     # What torch calls
 
     def _define(self, parameters: str) -> None:
-        """Registers the operator and its gradient."""
+        """Registers the operator and its gradient with torch."""
         results = ", ".join(["Tensor"] * len(self.outputs))
         results = results if len(self.outputs) == 1 else f"({results})"
         self._op = torch.library.custom_op(
@@ -158,7 +158,7 @@ class Operator:
 
     @staticmethod
     def _zeros_like(tensor: torch.Tensor) -> torch.Tensor:
-        # Without the strides of the tensor, which may be expanded.
+        # The gradient does not get the strides of the tensor, which may be expanded.
         return torch.zeros_like(tensor, memory_format=torch.contiguous_format)
 
     def _set_up(self, ctx: Any, inputs: tuple, output: Any) -> None:
@@ -171,19 +171,19 @@ class Operator:
             ctx.save_for_backward(*inputs)
 
     def _given(self, ctx: Any) -> Sequence[Any]:
-        """The inputs of a call."""
+        """Returns the inputs of the call that a context of torch has saved."""
         if not self._takes_numbers:
             return ctx.saved_tensors
         tensors, numbers = iter(ctx.saved_tensors), iter(ctx.numbers)
         return [next(tensors if t else numbers) for t in self._is_tensor]
 
     def _wanted(self, needs: Sequence[bool]) -> list[bool]:
-        """Flags for the tensors, from those for all inputs."""
+        """Returns flags for the tensors, selected from the flags for all inputs."""
         return [bool(n) for n, t in zip(needs, self._is_tensor, strict=True) if t]
 
     @staticmethod
     def _spread(gradients: Iterable[Any], needs: Sequence[bool]) -> tuple:
-        """One gradient, or None, for each input."""
+        """Returns one gradient, or None, for each input."""
         found = iter(gradients)
         return tuple([next(found) if n else None for n in needs])
 
@@ -253,7 +253,7 @@ class Operator:
             return made
         for name, model in zip(self.outputs, self._models, strict=True):
             if model is not None:
-                # Without the strides of the input, which may be expanded.
+                # An output does not get the strides of its input, which may be expanded.
                 like_it = torch.zeros_like if make is torch.zeros else torch.empty_like
                 made.append(like_it(inputs[model], memory_format=torch.contiguous_format))
                 continue
@@ -327,7 +327,7 @@ class Operator:
         self._needs_tape |= any(spec.is_loaded for spec in self._specs(self.outputs))
 
     def _specs(self, names: Sequence[str]) -> list[Any]:
-        """The arrays of a kernel, as it was compiled last."""
+        """Returns the array parameters of a kernel, as it was compiled last."""
         if not isinstance(self._function, Kernel):
             return []
         last = self._function._specializations.last
@@ -346,7 +346,7 @@ class Operator:
     def _differentiate(
         self, inputs: Sequence[Any], bars: Sequence[Any], needs: Sequence[bool]
     ) -> list[torch.Tensor]:
-        """The gradients by the inputs that `needs` has a flag for.
+        """Returns the gradients with respect to those inputs for which `needs` has a flag.
 
         Args:
             inputs: of the call.
@@ -365,7 +365,7 @@ class Operator:
                 if not value.is_contiguous():
                     value = value.contiguous()
                 if is_needed:
-                    # On the same memory, with a gradient of its own.
+                    # The array shares the memory of the tensor, and has a gradient of its own.
                     gradient = torch.zeros_like(value)
                     value.requires_grad_()
                     value.grad = gradient
@@ -373,7 +373,7 @@ class Operator:
             given.append(value)
         if not leaves:
             return []
-        # The sweep uses the adjoints up.
+        # The seeds are copies, because the sweep overwrites adjoints of outputs.
         seeds = [bar.clone(memory_format=torch.contiguous_format) for bar in bars]
         # A sweep that does not look at the values of outputs takes any memory for them.
         outputs = (
@@ -423,7 +423,7 @@ class Operator:
             if kind and not (
                 _is_transformed() or _count_dispatchers() or _is_any_autocast() or _is_tracing()
             ):
-                # Transforms that have ended leave tensors behind that wrap others.
+                # Transforms that have ended leave behind tensors that wrap other tensors.
                 if self._takes_numbers:
                     pairs = zip(inputs, self._is_tensor, strict=True)
                     inputs = tuple([_unwrap(i) if t else i for i, t in pairs])
@@ -506,7 +506,7 @@ class _OfBatch(Operator):
 
     @_needs_tape.setter
     def _needs_tape(self, value: bool) -> None:
-        # Gradients of batches run without a launch that has found out.
+        # The gradients of a batch run without a launch that could have found this out.
         self._one._needs_tape |= value
 
 
@@ -573,7 +573,7 @@ class _Functional(torch.autograd.Function):
 
 
 class _FunctionalGradient(torch.autograd.Function):
-    """The gradient of `_Functional`, which has none itself."""
+    """The gradient of `_Functional`, which itself has no gradient."""
 
     @staticmethod
     def forward(operator: Operator, wanted: tuple, *args: Any) -> Any:
@@ -602,7 +602,7 @@ def _no_forward_mode() -> TaiAutodiffError:
 
 
 def _find_operator(name: str, identity: tuple) -> Operator:
-    """The operator that was pickled under a name.
+    """Returns the operator that was pickled under a name.
 
     Raises:
         TaiRuntimeError: this process has none of that name, or another one.
@@ -618,7 +618,7 @@ def _find_operator(name: str, identity: tuple) -> Operator:
 
 
 def _stacked(found: list) -> Any:
-    """The results of a batch, and along which dimension it lies."""
+    """Returns the results of a batch as one tensor, and the dimension of the batch in it."""
     if isinstance(found[0], torch.Tensor):
         return torch.stack(found), 0
     return tuple(map(torch.stack, zip(*found, strict=True))), (0,) * len(found[0])
@@ -635,12 +635,12 @@ def _without_autocast(inputs: tuple) -> tuple:
 
 
 def _bytes_of(tensor: torch.Tensor) -> torch.Tensor:
-    """The bits of a tensor, of which NaN are equal, too."""
+    """Returns the bits of a tensor, in which even NaN equals itself."""
     return tensor.reshape(-1).view(torch.uint8)
 
 
 def _slices(count: int, in_dims: Sequence[Any], args: Sequence[Any]) -> Any:
-    """The arguments of each launch of a batch."""
+    """Yields the arguments of each launch of a batch."""
     moved = [a if d is None else a.movedim(d, 0) for a, d in zip(args, in_dims, strict=True)]
     for number in range(count):
         yield [a if d is None else a[number] for a, d in zip(moved, in_dims, strict=True)]

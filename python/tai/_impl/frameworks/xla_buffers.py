@@ -18,7 +18,7 @@ def _driver() -> Any:
 
 
 def _call(name: str, *args: Any) -> None:
-    """Calls the driver of CUDA.
+    """Calls a function of the CUDA driver.
 
     Raises:
         TaiRuntimeError: the call failed.
@@ -33,7 +33,7 @@ def _address(value: int) -> Any:
 
 
 class DeviceBuffer(DeviceArray):
-    """Memory on a GPU.
+    """An array in GPU memory that XLA owns.
 
     Attributes:
         queue: the stream of CUDA that orders work on it.
@@ -44,7 +44,7 @@ class DeviceBuffer(DeviceArray):
         self.queue = stream
 
     def __getitem__(self, index: tuple) -> DeviceBuffer:
-        """The part at some first indices."""
+        """Returns the part of the array at some first indices."""
         at = [i for i in index if i is not Ellipsis]
         rest = self.shape[len(at) :]
         step, offset = int(np.prod(rest, dtype=np.int64)), 0
@@ -73,7 +73,7 @@ class _Allocation:
 
 
 def zeros_like(type_: Any, near: Any) -> Any:
-    """Zeros of a shape and type, where `near` is."""
+    """Returns zeros of a shape and type, in the memory (host or GPU) where `near` is."""
     if isinstance(near, np.ndarray):
         return np.zeros(type_.shape, type_.dtype)
     size = int(np.prod(type_.shape, dtype=np.int64)) * np.dtype(type_.dtype).itemsize
@@ -96,7 +96,7 @@ def number_of(buffer: Any) -> Any:
 
 
 def store_number(buffer: Any, value: float) -> None:
-    """Stores to a buffer without dimensions."""
+    """Stores a number to a buffer without dimensions."""
     if isinstance(buffer, np.ndarray):
         buffer[...] = value
         return

@@ -160,7 +160,7 @@ class Assignments(Part):
         place.atomic(op, place.convert(value))
 
     def augment_static(self, node: ast.AugAssign, op: str, old: Any, value: Any) -> None:
-        """`a += …` where `a` is known at compile time."""
+        """Compiles `a += …` where `a` is known at compile time."""
         if (
             isinstance(node.target, ast.Name)
             and isinstance(self.frame.find(node.target.id), Bound)
@@ -173,7 +173,7 @@ class Assignments(Part):
         self.assign_item(node.target, lambda old: self.emitter.binary(op, old, value))
 
     def refuse_second_name(self, items: list) -> None:
-        """Refuses to change a list that something else refers to.
+        """Refuses to change a list to which another name refers as well.
 
         In Python that would change, too; in kernels of Taichi, where lists are copied, not.
         """
@@ -207,7 +207,7 @@ class Assignments(Part):
             old = items[key] if isinstance(key, int) else None
             if isinstance(old, (Value, bool, int, float)):
                 self.refuse_second_name(items)
-                # It keeps its type, as a variable does.
+                # The item keeps its type, like a variable.
                 item = Variable(ast.unparse(target), self.emitter.as_value(old))
                 place = VariablePlace(self.emitter, item)
                 place.store(place.convert(self.expressions.number(change(old))))

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..values import ops
 
-# Operators of the functions that change a place.
+# For each function that updates a place atomically, its operator.
 ATOMICS = {
     ops.atomic_add: "+",
     ops.atomic_sub: "-",
@@ -21,7 +21,7 @@ ATOMICS = {
 
 
 def takes_reference(callee: Any) -> bool:
-    """Whether a function may change the variables that it is given."""
+    """Whether a function may change the variables that it gets as arguments."""
     if isinstance(callee, Hashable) and callable(callee) and callee in ATOMICS:
         return True
     info = getattr(callee, "_tai_func", None)

@@ -34,7 +34,7 @@ from .scope import Bound
 from .sparse import Levels
 from .structs import as_struct_value
 
-# Python's own functions that kernels may call, by their translation.
+# Python's own functions that kernels may call, with the methods that translate the calls.
 _TRANSLATED: dict[Any, Callable[..., Any]] = {
     builtins.abs: ops.abs,
     builtins.min: ops.min,
@@ -54,7 +54,7 @@ _TRANSLATED: dict[Any, Callable[..., Any]] = {
     },
 }  # fmt: skip
 
-# Methods of matrices, for calls such as ti.Vector.normalized(v).
+# Methods of matrices that can be called as functions, such as ti.Vector.normalized(v).
 _MATRIX_METHODS = {
     function
     for name, function in vars(Matrix).items()
@@ -130,7 +130,7 @@ class Calls(Part):
         return is_reference
 
     def _argument(self, node: ast.expr, is_reference: bool) -> Any:
-        """An argument; the place itself where the function may change it."""
+        """Evaluates an argument; gives the place itself where the function may change it."""
         if is_reference and isinstance(node, (ast.Attribute, ast.Subscript)):
             found = self.expressions.sublocate(node)
             if isinstance(found, Place):
@@ -299,7 +299,7 @@ class Calls(Part):
         return ops.cast(args[0], function)
 
     def _fold(self, op: str, args: list, truth: bool = False) -> Any:
-        """`sum`, `any`, `all` over items known one by one."""
+        """Combines items that are known one by one, for `sum`, `any` and `all`."""
         items = self.compile_time.take_apart(args[0]) + list(args[1:])
         if not items:
             return op == "&" if truth else 0

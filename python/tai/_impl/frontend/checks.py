@@ -26,7 +26,7 @@ from .refs import ArrayArgument, Place, VariablePlace
 from .sparse import ListElement
 from .structs import StructPlace, StructValue
 
-# Methods that change the object they are called on.
+# Methods that change the object on which they are called.
 _CHANGES = {
     list: {"append", "extend", "insert", "remove", "pop", "clear", "sort", "reverse"},
     dict: {"update", "pop", "popitem", "clear", "setdefault"},
@@ -44,7 +44,7 @@ _OUTSIDE = {
     builtins.globals, builtins.locals, builtins.memoryview,
 }  # fmt: skip
 
-# Modules whose functions answer another thing each time, or do something.
+# Modules whose functions have side effects, or a result that differs from call to call.
 _MODULES = {
     "random": "use ti.random()",
     "numpy.random": "use ti.random()",
@@ -74,7 +74,7 @@ _QUIET = {"getcwd", "getenv", "cpu_count", "getpid", "fspath", "sched_getaffinit
 
 
 def holds_value(thing: Any) -> bool:
-    """Whether a container holds something that is known only when the kernel runs."""
+    """Whether a container holds a value that is known only when the kernel runs."""
     if isinstance(thing, (tuple, list, set, frozenset, deque)):
         return any(holds_value(t) for t in thing)
     if isinstance(thing, dict):
@@ -83,7 +83,9 @@ def holds_value(thing: Any) -> bool:
 
 
 def refuse_condition(thing: Any) -> None:
-    """Refuses values that Python would take for true, whatever they contain."""
+    """Refuses as conditions those objects that Python would take for true, whatever they
+    contain.
+    """
     if isinstance(thing, (StructValue, StructPlace)):
         raise TaiTypeError("the truth of a struct is not one answer", "compare its members")
     if isinstance(thing, ListElement):
@@ -162,7 +164,7 @@ class Checks(Part):
         self._check_answer(function, receiver, name)
 
     def _check_own(self, function: Any, receiver: Any, name: str) -> None:
-        """Refuses functions of this package that make or move data."""
+        """Refuses calls of functions of this package that make or move data."""
         if isinstance(receiver, Matrix) and name == "fill":
             raise TaiSyntaxError(
                 "a vector or matrix from outside the kernel is a constant in it",
@@ -196,7 +198,7 @@ class Checks(Part):
         warnings.warn_explicit(text, TaiCompilationWarning, frame.filename, line, registry=_shown)
 
     def may_change(self, thing: Any) -> bool:
-        """Whether the program has made a container in this very block."""
+        """Whether the program has made a container in the block that is being compiled."""
         made = self._made.get(id(thing))
         return made is not None and made[0] is thing and made[1] == self.context.depth_below_top
 

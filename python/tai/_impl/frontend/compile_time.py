@@ -35,11 +35,11 @@ class CompileTime(Part):
     def __init__(self, context: Context):
         super().__init__(context)
         self.in_static = 0
-        # Methods of structs, and whether they change their struct.
+        # For each method of a struct: whether it changes its struct.
         self._changing: dict[tuple, bool] = {}
 
     def static_argument(self, node: ast.expr) -> ast.expr | None:
-        """The argument of `ti.static(…)`, or None if `node` is something else."""
+        """Returns the argument of `ti.static(…)`, or None if `node` is another expression."""
         if not isinstance(node, ast.Call) or not isinstance(node.func, (ast.Name, ast.Attribute)):
             return None
         if self.static_callee(node.func) is not ops.static:
@@ -63,7 +63,7 @@ class CompileTime(Part):
         return None
 
     def attribute_of(self, base: Any, name: str) -> Any:
-        """An attribute of an object that is known, or None."""
+        """Returns an attribute of an object that is known at compile time, or None."""
         if isinstance(base, StructPlace):
             return base.members.get(name, base.type.methods.get(name))
         return None if base is None or isinstance(base, Value) else getattr(base, name, None)
@@ -113,7 +113,7 @@ class CompileTime(Part):
             return _UNKNOWN
 
     def changes_receiver(self, node: ast.Call) -> bool:
-        """Whether a call is one of a method that may change the struct which it is called of."""
+        """Whether a call is of a method that may change the struct on which it is called."""
         if not isinstance(node.func, ast.Attribute):
             return False
         receiver = self.static_callee(node.func.value)
@@ -122,7 +122,7 @@ class CompileTime(Part):
         )
 
     def is_settled(self, node: ast.Call) -> bool:
-        """Whether the callee is found by a name that this function gives no meaning, here or later.
+        """Whether the callee's name has a meaning that no assignment of this function changes.
 
         A local that is not assigned yet will mean something else when the call is compiled.
         """
@@ -138,7 +138,7 @@ class CompileTime(Part):
         return (self.visit(node), False) if static is None else (self.visit_static(static), True)
 
     def visit_static(self, node: ast.expr) -> Any:
-        """The argument of `ti.static(…)`, which is evaluated once, on purpose."""
+        """Evaluates the argument of `ti.static(…)` once, at compile time."""
         self.in_static += 1
         try:
             return self.visit(node)
@@ -146,7 +146,7 @@ class CompileTime(Part):
             self.in_static -= 1
 
     def take_apart(self, thing: Any) -> list:
-        """The items of a sequence whose length is known."""
+        """Returns the items of a sequence whose length is known at compile time."""
         if isinstance(thing, (Field, str)) or (
             isinstance(thing, Value) and not isinstance(thing, MatrixValue)
         ):
@@ -157,7 +157,7 @@ class CompileTime(Part):
             raise TaiTypeError(f"{describe(thing)} cannot be taken apart") from None
 
     def static_items(self, thing: Any) -> list:
-        """The items of something that is iterated at compile time."""
+        """Returns the items of an object over which a loop iterates at compile time."""
         if isinstance(thing, Value) and not isinstance(thing, MatrixValue):
             raise TaiTypeError(f"a number of type {thing.kind_name} cannot be iterated")
         if isinstance(thing, Field):
@@ -179,7 +179,7 @@ class CompileTime(Part):
         return items
 
     def bind_static(self, target: ast.expr, item: Any) -> None:
-        """Gives an item of an unrolled loop to its target."""
+        """Assigns an item of an unrolled loop to the loop's target."""
         if isinstance(target, ast.Name):
             if isinstance(item, Value):
                 self.frame.define(target.id, Variable(target.id, item, "loop variable"))

@@ -56,7 +56,7 @@ _OWN = (Part, Context, Diagnostics, Emitter, Builder, Frame)
 
 
 class _DeepRecursion(native.WithBlock):
-    """While one lasts, functions may call one another so deeply."""
+    """A context in which inlined functions may call one another to a greater depth."""
 
     # The limit belongs to all threads: the instances that need it, and the limit before them.
     _change = Lock()
@@ -133,7 +133,7 @@ class Compiler:
         domains = LoopDomains(context, expressions)
         serial = SerialLoops(context, work, returns, regions, domains)
         parallel = ParallelLoops(context, levels, work, regions, domains)
-        # Parts of the compiler that have methods for nodes.
+        # The parts of the compiler that have methods for kinds of nodes.
         self._parts: list[Part] = [
             expressions,
             Operators(context, compile_time),
@@ -157,11 +157,11 @@ class Compiler:
 
     @property
     def reads(self) -> Reads:
-        """Attributes of template arguments that the code depends on."""
+        """Returns the attributes of template arguments on which the code depends."""
         return self.context.reads
 
     def compile(self) -> Any:
-        """Builds and verifies the module.
+        """Builds and verifies the module of the kernel.
 
         Returns:
             The `_core.Kernel`.
@@ -185,7 +185,7 @@ class Compiler:
         return context.builder.finish(context.kernel.symbol)
 
     def close(self) -> None:
-        """Takes the compiler apart, once its results are taken.
+        """Takes the compiler apart, after its results were taken, to break reference cycles.
 
         Its parts know each other in circles, which would keep the program, with its memory and
         threads, until the cyclic collector of Python runs.
@@ -234,7 +234,7 @@ class Compiler:
 
     @property
     def has_gradients(self) -> bool:
-        """Whether something that the kernel uses has a gradient."""
+        """Whether any field or array that the kernel uses has a gradient."""
         fields = (f for f in self.context.emitter.fields if f.dtype.is_float)
         placed = (f._companions.get("grad") for f in fields)
         return any(spec.has_gradient for _, spec in self.context.kernel.parameters) or any(
@@ -257,7 +257,7 @@ class Compiler:
         self._statements.block(statements)
 
     def _find_method(self, kind: type[ast.AST]) -> Callable[[Any], Any]:
-        """The method of a part for nodes of that kind."""
+        """Returns the method, of one of the parts, that compiles nodes of a kind."""
         name = "visit_" + kind.__name__
         for part in self._parts:
             method = getattr(part, name, None)

@@ -63,7 +63,7 @@ class ResultForm(Protocol):
 
 @dataclass
 class Kernel:
-    """The specialisation that is compiled.
+    """The specialisation of a kernel that is compiled.
 
     Attributes:
         symbol: the name of the kernel in IR.
@@ -131,7 +131,7 @@ class Context:
 
     @property
     def options(self) -> Options:
-        """Options of the program, as `ti.init` took them."""
+        """The options of the program, as `ti.init` got them."""
         return self.program.options
 
     @property
@@ -141,7 +141,7 @@ class Context:
 
     @property
     def depth_below_top(self) -> int:
-        """The number of regions around new operations, besides those of returns."""
+        """The number of regions around new operations, apart from those that returns make."""
         return self.depth - self.top_depth
 
     @property
@@ -158,7 +158,7 @@ class Context:
         self.builder.set_file(self.frame.filename)
 
     def at(self, node: Any) -> None:
-        """Operations made from now on stand at this node."""
+        """Gives the operations that are made from now on the location of this node."""
         self.diagnostics.last_node = node
         self.builder.set_location(node.lineno, node.col_offset + 1)
 
@@ -178,5 +178,5 @@ class Part:
 
     @property
     def frame(self) -> Frame:
-        """The innermost function that is compiled."""
+        """The innermost function that is being compiled."""
         return self._frames[-1]

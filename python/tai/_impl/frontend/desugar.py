@@ -94,7 +94,7 @@ class _Desugar(ast.NodeTransformer):
 
     def visit_While(self, node: ast.While) -> Any:
         if _has_walrus(node.test):
-            # A name that the condition makes belongs to the body.
+            # The condition moves into the body, because a name that it assigns belongs to the body.
             test = _placed(ast.UnaryOp(ast.Not(), node.test), node.test)
             leave = _placed(ast.If(test=test, body=[ast.Break()], orelse=[]), node.test)
             loop = _placed(ast.While(ast.Constant(True), [leave, *node.body], []), node)

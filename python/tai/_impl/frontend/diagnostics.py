@@ -29,7 +29,7 @@ _OWN_CLASSES = (
 
 
 class Diagnostics:
-    """Gives errors the place in the program where they arise.
+    """Gives errors the place in the program where they occur.
 
     Args:
         frames: the functions that are compiled, innermost last.
@@ -66,7 +66,8 @@ class Diagnostics:
         text = re.sub(r"'(\w+)'", lambda found: f"'{KINDS.get(found[1], found[1])}'", text)
         # "not StructValue": a name of one word could be one of the program.
         text = re.sub(_OWN_CLASSES, lambda found: with_article(KINDS[found[0]]), text)
-        # "MatrixValue.dot() missing …": the program has no class of that name.
+        # A message such as "MatrixValue.dot() missing …" names a class that the program does not
+        # have.
         text = re.sub(r"^(\w+)\.(?=\w+\(\))", lambda f: "" if f[1] in KINDS else f[0], text)
         if isinstance(error, KeyError):
             text = f"no item {text}"
@@ -99,7 +100,7 @@ class Diagnostics:
         error.trail = self.trail()
 
     def column(self, line: int, offset: int) -> int:
-        """A column in characters; `ast` counts bytes."""
+        """Returns a column in characters, whereas `ast` counts bytes."""
         text = self._line(line)
         return offset if text.isascii() else len(text.encode()[:offset].decode(errors="ignore"))
 
@@ -108,7 +109,7 @@ class Diagnostics:
         return lines[line - 1] if line <= len(lines) else ""
 
     def trail(self) -> list[str]:
-        """Where the code being compiled stands: functions, innermost first."""
+        """Lists the functions in which the code being compiled lies, innermost first."""
         lines = []
         for frame in reversed(self._frames):
             if frame.call is None:

@@ -37,7 +37,7 @@ class Expressions(Part):
     def __init__(self, context: Context, compile_time: CompileTime, checks: Checks, levels: Levels):
         super().__init__(context)
         self.compile_time, self.checks, self.levels = compile_time, checks, levels
-        # Whether of the attribute that is evaluated next no more than its form is wanted.
+        # Whether only the form (shape, type) of the next attribute is wanted, not its value.
         self._form_only = False
 
     # Names, attributes, subscripts
@@ -63,7 +63,7 @@ class Expressions(Part):
         return self.visit(node)
 
     def sublocate(self, node: ast.expr) -> Any:
-        """`locate` with errors placed at `node`."""
+        """Evaluates `node` like `locate`, with errors placed at `node`."""
         if isinstance(node, (ast.Name, ast.Attribute, ast.Subscript)):
             return self.guarded(self.locate, node)
         return self.visit(node)
@@ -193,7 +193,7 @@ class Expressions(Part):
         return result
 
     def number(self, value: Any) -> Any:
-        """The right side of an assignment as something to compute with."""
+        """Returns the right side of an assignment as a value to compute with."""
         if isinstance(value, (Value, StructValue)):
             return value
         if isinstance(value, (bool, int, float, np.generic)):

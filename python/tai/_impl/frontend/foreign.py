@@ -100,7 +100,7 @@ _ANSWERS = _find_all()
 
 
 def is_foreign(function: Any) -> bool:
-    """Whether a function is one of another library, which knows no values of kernels."""
+    """Whether a function belongs to another library, which does not know values of kernels."""
     if isinstance(function, np.ufunc):
         return True
     return callable(function) and _library_of(function) in ("numpy", "math", *_LIKE_NUMPY)

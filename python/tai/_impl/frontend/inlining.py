@@ -73,7 +73,7 @@ class Inlining(Part):
         return result
 
     def parameter(self, name: str, value: Any, kind: Any, node: ast.expr | None) -> Any:
-        """The meaning of a parameter of an inlined function."""
+        """Returns the meaning of a parameter in the body of an inlined function."""
         if kind == "template":
             if isinstance(node, ast.Name):
                 meaning = self.frame.find(node.id)

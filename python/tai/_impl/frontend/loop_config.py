@@ -24,7 +24,7 @@ class LoopConfig(Part):
         return options
 
     def put_back(self, options: dict[str, Any]) -> None:
-        """Lets the next loop have options that were taken for none."""
+        """Keeps options that no loop has used for the next loop."""
         self._options = options
 
     def configure(self, node: ast.Call) -> None:

@@ -240,14 +240,15 @@ class LoopDomains(Part):
         dt = i32
         for part in parts:
             if not isinstance(part, Value):
-                # The upper bound itself is none of the indices.
+                # The upper bound itself is not an index of the loop, so it may exceed the type by
+                # one.
                 dt = dt if i32.min <= part <= i32.max + 1 else promote(dt, i64)
             elif part.dt.is_int:
                 dt = promote(dt, part.dt)
         return dt
 
     def at_step(self, low: Any, number: Value, step: Any) -> Value:
-        """The loop variable of iteration `number`."""
+        """Returns the value of the loop variable in iteration `number`."""
         return self.emitter.binary("+", low, self.emitter.binary("*", number, step))
 
     def trip_count(self, low: Any, high: Any, step: Any) -> Any:

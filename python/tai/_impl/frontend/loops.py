@@ -69,7 +69,7 @@ class Loops(Part):
         self.parallel.make(node, Bounds([], []), None, False, self.loop_config.take())
 
     def _name_of(self, domain: Any) -> str:
-        """The name of a field or a level in messages."""
+        """Returns the name of a field or a level for messages."""
         return "a level" if isinstance(domain, Level) else f"field '{domain.name}'"
 
     def _static_for(self, node: ast.For, thing: Any) -> None:

@@ -30,7 +30,7 @@ COMPARE = {
     ast.Eq: "==", ast.NotEq: "!=", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="
 }  # fmt: skip
 
-# Unary operators on operands that are known now.
+# Python's unary operators, for operands that are known at compile time.
 _NOW: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
@@ -172,7 +172,7 @@ class Operators(Part):
         return emitter.select(truth, *((right, left) if is_and else (left, right)))
 
     def short_circuit(self, is_and: bool, left: Value, right_node: ast.expr) -> Value:
-        """As in Python, the operand that decides: `a or b` is `a` unless that is zero."""
+        """Returns the operand that decides, as Python does: `a or b` is `a` unless `a` is zero."""
         emitter, builder = self.emitter, self.builder
         truth = emitter.to_bool(left)
         outer = builder.get_block()
@@ -239,7 +239,7 @@ class Operators(Part):
         return emitter.broadcast(emitter.constant(0, value.dt), value.shape).handle
 
     def _variables(self, *nodes: ast.expr) -> dict[Variable, Value]:
-        """The variables that an expression could change, and their current values."""
+        """Returns the variables that an expression could change, and their current values."""
         changing = (ast.Call, ast.NamedExpr)
         if not any(isinstance(part, changing) for node in nodes for part in ast.walk(node)):
             return {}
@@ -254,7 +254,7 @@ class Operators(Part):
     def _select_variables(
         self, condition: Value, changed: list[Variable], then: dict, orelse: dict
     ) -> None:
-        """Gives the variables their values after one of two expressions."""
+        """Sets variables to their values after whichever of two expressions was evaluated."""
         for variable in changed:
             variable.value = self.emitter.select(condition, then[variable], orelse[variable])
 

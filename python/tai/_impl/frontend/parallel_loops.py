@@ -183,5 +183,5 @@ class ParallelLoops(Part):
 
 
 def _is_step(step: Any) -> bool:
-    """Whether a range has another step than 1."""
+    """Whether a range has a step other than 1."""
     return isinstance(step, Value) or step != 1

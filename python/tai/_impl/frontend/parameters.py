@@ -35,7 +35,7 @@ class Parameters(Part):
         self.types += ["i32"] * cells
         self.names += ["cell"] * cells
         self.gradients: list[int] = []
-        # Where forward mode keeps the result, as the number of its first element.
+        # The number of the first element of the pool in which forward mode keeps the result.
         self._result_cell: Any = None
 
     def define(self, block: Any) -> None:
@@ -71,7 +71,7 @@ class Parameters(Part):
         return TripletsValue(self.emitter, name, arrays)
 
     def _struct(self, name: str, type_: StructType) -> StructValue:
-        """A struct of the parameters that are its members."""
+        """Makes a struct of those parameters that are its members."""
         members: dict[str, Any] = {}
         for key, kind in type_.members.items():
             inner = f"{name}.{key}"
@@ -83,7 +83,7 @@ class Parameters(Part):
         return StructValue(type_, members)
 
     def _argument(self, name: str, spec: Any, handles: list) -> Variable | Bound:
-        """The meaning of a parameter of the kernel in its body."""
+        """Returns the meaning of a parameter in the body of the kernel."""
         if spec.kind == "template":
             return Bound(spec.constant)
         if spec.kind == "array":
@@ -98,13 +98,13 @@ class Parameters(Part):
         return Variable(name, value, "kernel argument")
 
     def _cell(self, field: Any, first: Any, number: int) -> FieldElement:
-        """An element of the field that forward mode keeps numbers in."""
+        """Returns an element of the field in which forward mode keeps numbers."""
         emitter = self.emitter
         at = emitter.binary("+", emitter.value(first, dtypes.i32), number)
         return FieldElement(emitter, field, [emitter.to_index(at)])
 
     def _load_cells(self, variable: Variable, field: Any, first: Any) -> None:
-        """Loads the value that forward mode has kept of a parameter."""
+        """Loads the value of a parameter that forward mode has kept in its field."""
         emitter, given = self.emitter, variable.value
         count = 1
         for extent in given.shape:
@@ -113,7 +113,7 @@ class Parameters(Part):
         variable.value = emitter.matrix(parts, given.dt, given.shape) if given.shape else parts[0]
 
     def store_cells(self, value: Any) -> None:
-        """Keeps the result for forward mode, if that follows it."""
+        """Stores the result of the kernel for forward mode, if forward mode follows it."""
         if self._result_cell is None:
             return
         for number, part in enumerate(value.scalars() if value.shape else [value]):

@@ -19,7 +19,7 @@ from .expressions import Expressions
 from .refs import ArrayArgument, Place
 from .structs import StructValue
 
-# The mark of a value in a text for the runtime.
+# Matches the placeholder of a value in a text for the runtime.
 _PLACE = re.compile(r"\{(?::([^}]*))?\}")
 
 
@@ -38,13 +38,13 @@ class FormattedText:
 
 
 def formatted(thing: Any) -> FormattedText:
-    """The text that printing `thing` writes."""
+    """Returns the text that printing `thing` writes."""
     if isinstance(thing, FormattedText):
         return thing
     if isinstance(thing, Place):
         thing = thing.load()
     if isinstance(thing, Value):
-        # IR has no signs; narrower numbers are converted, see Printing.printable.
+        # Integers of IR have no sign, and narrower integers are converted; see Printing.printable.
         place = "{:u}" if thing.dt is u64 else "{}"
         if len(thing.shape) != 2:
             return FormattedText(place, [thing])
@@ -71,7 +71,9 @@ def _listed(left: str, items: list[tuple[str, Any]], right: str) -> FormattedTex
 
 
 def formatted_by(template: str, args: list, kwargs: dict) -> FormattedText:
-    """`template.format(*args, **kwargs)` with values of the kernel among the arguments."""
+    """Formats as `template.format(*args, **kwargs)`, with values of the kernel among the
+    arguments.
+    """
     text, values, position = "", [], 0
     for literal, name, spec, conversion in string.Formatter().parse(template):
         text += literal
@@ -96,12 +98,12 @@ def formatted_by(template: str, args: list, kwargs: dict) -> FormattedText:
     return FormattedText(text, values)
 
 
-# A place of `template % values`: name, flags, width, precision, kind.
+# Matches a placeholder of `template % values`: name, flags, width, precision, kind.
 _PERCENT = re.compile(r"%(?:\((\w+)\))?([-+ #0]*)(\*|\d*)(?:\.(\*|\d*))?[hlL]?(.)", re.DOTALL)
 
 
 def formatted_by_percent(template: str, values: Any) -> FormattedText:
-    """`template % values` with values of the kernel among them."""
+    """Formats as `template % values`, with values of the kernel among the values."""
     text, shown, end, used = "", [], 0, 0
     items = [values] if not isinstance(values, (tuple, dict)) else values
     for place in _PERCENT.finditer(template):
@@ -154,7 +156,7 @@ def _by_percent(
     spec = "" if kind in "sradiu" else kind
     align = "<" if "-" in flags and width else ">" if kind in "sra" and width else ""
     sign = "+" if "+" in flags else " " if " " in flags else ""
-    # A text is filled up with blanks.
+    # Python fills up texts with blanks even where zeros were asked for.
     zero = "0" if "0" in flags and "-" not in flags and width and kind not in "sra" else ""
     digits = "" if precision is None else f".{precision or 0}"
     if kind in "diuxXo" and digits:
@@ -224,7 +226,7 @@ class Printing(Part):
         self.expressions = expressions
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> Any:
-        """A string with values in it, or a plain string."""
+        """Returns a formatted string that contains values, or a plain string."""
         text, values = "", []
         for part in node.values:
             if isinstance(part, ast.Constant):

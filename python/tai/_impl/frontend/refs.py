@@ -17,7 +17,7 @@ from ..values.emitter import Emitter
 from ..values.positions import flat, in_range, read
 from ..values.value import MatrixValue, Value, stop_gradient
 
-# Kinds of `tai.atomic` by operator.
+# For each operator, the kind of `tai.atomic`.
 ATOMIC_KINDS = {"+": "add", "-": "sub", "*": "mul", "min": "min", "max": "max",
                 "&": "and", "|": "or", "^": "xor"}  # fmt: skip
 
@@ -37,7 +37,7 @@ class Variable:
 
 
 class Place:
-    """A variable, element or component, which can be loaded and stored.
+    """A variable, element or component, which a kernel can load and store.
 
     Attributes:
         dt, shape: the type of its value. A loaded value has the type that it is computed in (f32
@@ -61,7 +61,7 @@ class Place:
         return old
 
     def fill(self, value: Any) -> None:
-        """`v.fill(1)`: gives all components of a matrix one number."""
+        """Sets all components of a matrix to one number: `v.fill(1)`."""
         number = self.emitter.as_value(value)
         if number.shape:
             raise TaiTypeError(
@@ -70,7 +70,7 @@ class Place:
         self.store(self.convert(value))
 
     def at(self, key: Any) -> Place:
-        """A component of a matrix."""
+        """Returns a component of the matrix in this place."""
         component = self.emitter.component_of(_Shape(self), key)
         if isinstance(component, list):
             return Part(self, *component)
@@ -80,7 +80,7 @@ class Place:
         return Component(self, component)
 
     def convert(self, value: Any) -> Any:
-        """`value` in the type of this place."""
+        """Converts `value` to the type of this place."""
         emitter = self.emitter
         if isinstance(value, (bool, int, float)) and not self.shape:
             emitter.check_fraction(value, self.dt, self._what())
@@ -96,7 +96,7 @@ class Place:
         return emitter.broadcast(emitter.cast(value, self.dt), self.shape)
 
     def _what(self) -> str:
-        """The name of the place in messages."""
+        """Returns the name of the place for messages."""
         return f"a place of type {self.dt}"
 
     def _kind(self) -> str:
@@ -147,7 +147,7 @@ class VariablePlace(Place):
 
 
 def refuse_truth_arithmetic(op: str, dt: DataType) -> None:
-    """Refuses to count in a place that holds true or false."""
+    """Refuses arithmetic updates of a place of type bool."""
     if dt.is_bool and op not in ("&", "|", "^", "min", "max"):
         raise TaiTypeError(
             f"'{op}' counts, but the target holds {dt}: true or false",
@@ -185,7 +185,7 @@ class Component(Place):
 
 
 class Part(Place):
-    """Some components of a matrix: a swizzle or a row."""
+    """Several components of a matrix: a swizzle or a row."""
 
     def __init__(self, base: Place, components: list[Any], shape: tuple[int, ...]):
         self.emitter, self.base, self.numbers = base.emitter, base, components
@@ -374,7 +374,7 @@ class ArrayElement(Place):
 
     def atomic(self, op: str, value: Any) -> Value:
         self.array.spec.is_written = self.array.spec.is_read = True
-        # The gradient of a sum needs no element of it.
+        # The gradient of a sum does not need the values of the element.
         self.array.spec.is_loaded |= op not in ("+", "-")
         if self.shape:
             old = [self.component(c).atomic(op, v) for c, v in enumerate(value.scalars())]
@@ -404,11 +404,11 @@ class ArrayElement(Place):
 
 
 class ArrayArgument(Elements):
-    """An array that was given to the kernel: `ti.types.ndarray`."""
+    """An array argument of a kernel: `ti.types.ndarray`."""
 
     def __init__(self, emitter: Emitter, name: str, handles: list, spec: Any):
         self.emitter, self.name, self.spec = emitter, name, spec
-        # The array, and its gradient if it has one.
+        # The handle of the array, and the handle of its gradient if it has one.
         self.handle, self._gradient = handles[0], handles[1:]
         self.dt, self.element_shape = spec.dt, spec.element_shape
         # The dimension of the worlds of a batch is not seen by the kernel.
@@ -435,7 +435,7 @@ class ArrayArgument(Elements):
 
     @property
     def shape(self) -> tuple[Value, ...]:
-        """The extents, which are known when the kernel runs."""
+        """The extents of the array, which are known only when the kernel runs."""
         emitter, extents = self.emitter, []
         for dimension in range(self._is_stacked, self.spec.ndim):
             at = emitter.index(dimension)
@@ -495,7 +495,7 @@ def _count_message(kind: str, name: str, wanted: int, got: int) -> str:
 
 
 def field_element(emitter: Emitter, field: Field, key: Any) -> Place:
-    """The element of `field` that a subscript names.
+    """Returns the element of `field` that a subscript names.
 
     Raises:
         TaiIndexError: the number of indices, or a constant index that is out of range.
@@ -537,7 +537,7 @@ def field_element(emitter: Emitter, field: Field, key: Any) -> Place:
 
 
 def use_field(field: Field) -> None:
-    """Allocates a field that a kernel names.
+    """Allocates a field that a kernel uses.
 
     Raises:
         TaiRuntimeError: it is not placed, or of an earlier program.

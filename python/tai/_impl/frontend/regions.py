@@ -29,7 +29,7 @@ class Regions(Part):
         self.compile_time, self.returns = compile_time, returns
 
     def changed_by(self, *lists: list[ast.stmt]) -> list[Variable]:
-        """The variables of this function that the statements may change."""
+        """Returns the variables of this function that the statements may change."""
         known, now = self.frame.assigned, self.compile_time
         collector = AssignedNames(now.takes_reference, now.changes_receiver, now.is_settled, known)
         found: list[Variable] = []
@@ -53,7 +53,7 @@ class Regions(Part):
         statements: list[ast.stmt],
         node: ast.stmt,
     ) -> list[bool]:
-        """An `scf.if` that yields the variables that its branches change.
+        """Emits an `scf.if` that yields the variables that its branches change.
 
         Returns:
             For each branch, whether it ends by an exit.
@@ -112,7 +112,7 @@ class Regions(Part):
             variable.value = self.emitter.value(block.argument(first + number), old.dt, old.shape)
 
     def loop_body(self, loop: Loop, node: ast.For | ast.While) -> None:
-        """The statements of a loop, once."""
+        """Compiles the statements in the body of a loop, once."""
         if own_exits(node.body):
             loop.skipped = Variable("continue", self.emitter.constant(False, u1))
         self.frame.loops.append(loop)

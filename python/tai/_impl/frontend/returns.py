@@ -20,7 +20,7 @@ from .structs import variables_of
 
 
 def find_return(statements: list[ast.stmt]) -> ast.Return | None:
-    """A `return` somewhere in the statements."""
+    """Finds a `return` anywhere in the statements, or None."""
     for statement in statements:
         for node in ast.walk(statement):
             if isinstance(node, ast.Return):
@@ -29,7 +29,7 @@ def find_return(statements: list[ast.stmt]) -> ast.Return | None:
 
 
 def always_returns(statements: list[ast.stmt]) -> bool:
-    """Whether the statements certainly end by `return`, by their form alone."""
+    """Whether the statements certainly end by `return`, judged by their form alone."""
     last = statements[-1] if statements else None
     if isinstance(last, ast.If):
         return always_returns(last.body) and always_returns(last.orelse)
@@ -37,7 +37,7 @@ def always_returns(statements: list[ast.stmt]) -> bool:
 
 
 def _returns_inside(node: ast.FunctionDef) -> bool:
-    """Whether a branch or loop of the function holds a `return`."""
+    """Whether a branch or loop of the function contains a `return`."""
     return find_return([s for s in node.body if not isinstance(s, ast.Return)]) is not None
 
 
@@ -184,7 +184,7 @@ class Returns(Part):
         self.context.is_dead = True
 
     def refuse_parallel_return(self, node: ast.Return) -> None:
-        """A loop that runs in parallel cannot be left."""
+        """Refuses a `return` in a parallel loop, which cannot be left early."""
         if any(loop.kind == "parallel" for loop in self.frame.loops):
             raise TaiSyntaxError(
                 "the outermost loop of a kernel runs in parallel and cannot be left by 'return'",
@@ -193,7 +193,7 @@ class Returns(Part):
             )
 
     def _parts_of(self, value: Any) -> tuple[list[Value], bool]:
-        """The values that a return gives, and whether as a tuple."""
+        """Returns the values of a `return` statement, and whether they form a tuple."""
         if value is None:
             return [], False
         if isinstance(value, tuple):
@@ -245,7 +245,9 @@ class Returns(Part):
         return values[0] if values else None
 
     def refuse_open_end(self) -> None:
-        """A function that gives a value must not end without `return`."""
+        """Refuses a function that returns a value on some paths and ends without `return` on
+        others.
+        """
         if self.context.is_dead or not self.frame.results.parts:
             return
         frame = self.frame
@@ -257,7 +259,7 @@ class Returns(Part):
         raise error.locate(frame.filename, node.lineno, node.col_offset + 1)
 
     def returned_since(self, statements: list[ast.stmt]) -> Value | None:
-        """The flag, if the statements may have set it."""
+        """Returns the flag that says that the statements have returned; None if they cannot."""
         results = self.frame.results
         if results is None or not results.may_have_run or find_return(statements) is None:
             return None
@@ -271,7 +273,7 @@ class Returns(Part):
         return flags
 
     def running(self, flags: list[Variable]) -> Value:
-        """The condition that no flag is set."""
+        """Returns the condition that no return flag is set."""
         stopped = flags[0].value
         for flag in flags[1:]:
             stopped = self.emitter.binary("|", stopped, flag.value)

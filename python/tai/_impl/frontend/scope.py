@@ -14,7 +14,7 @@ from ..base import texts
 from .refs import Variable
 from .source import closure_of
 
-# Functions of Python that mean something in kernels.
+# Python's built-in functions that have a meaning in kernels.
 _BUILTINS = (
     "abs", "all", "any", "bool", "enumerate", "float", "int", "isinstance", "len", "list", "max",
     "min", "pow", "print", "range", "reversed", "round", "sum", "tuple", "zip",
@@ -31,11 +31,11 @@ class Bound:
 
 
 class StaticBreak(Exception):
-    """`break` in a loop that is unrolled."""
+    """Raised for a `break` in a loop that is unrolled."""
 
 
 class StaticContinue(Exception):
-    """`continue` in a loop that is unrolled."""
+    """Raised for a `continue` in a loop that is unrolled."""
 
 
 class Loop:
@@ -59,7 +59,7 @@ class Loop:
 
 
 def _is_static(node: ast.AST) -> bool:
-    """Whether it looks like a call of `ti.static`."""
+    """Whether an expression has the form of a call of `ti.static`."""
     return isinstance(node, ast.Call) and "static" in (
         getattr(node.func, "attr", None),
         getattr(node.func, "id", None),
@@ -79,7 +79,7 @@ class Frame:
         # Names of inner blocks that ended, with the line of their first assignment.
         self.gone: dict[str, int] = {}
         self.loops: list[Loop] = []
-        # The names that branches and loops assign, once found.
+        # For each branch and loop, the names that it assigns, once found.
         self.assigned: dict[ast.stmt, list[str]] = {}
         self.result: Any = None
         self.result_type: Any = None
@@ -103,7 +103,7 @@ class Frame:
         }
 
     def find(self, name: str) -> Variable | Bound | None:
-        """The local of that name, innermost scope first."""
+        """Returns the local variable called `name`, innermost scope first, or None."""
         for scope in reversed(self.scopes):
             if name in scope:
                 return scope[name]

@@ -96,7 +96,7 @@ class SerialLoops(Part):
     def _carried_for(
         self, variables: list[Variable], begin: Any, end: Any, inside: Any, node: ast.For
     ) -> None:
-        """An `scf.for` that carries the variables which its body changes."""
+        """Emits an `scf.for` that carries the variables which its body changes."""
         emitter, builder = self.emitter, self.builder
         initial = [v.value.handle for v in variables]
         types = [emitter.type_of(v.value.dt, v.value.shape) for v in variables]

@@ -14,7 +14,7 @@ from .context import Context, Part
 # From as many operations on, one after another, a user may wonder whether a GPU's thread ends.
 # Three million with their gradient took less than half a second on an H100.
 _LONG = 1e7
-# Loops of as many iterations are no work for a GPU.
+# The number of iterations up to which a loop is not worth a GPU.
 _FEW = 32
 
 
@@ -37,7 +37,7 @@ class SerialWork(Part):
         self.repeat(before, count_trips(low, high, step, unknown=1), node)
 
     def repeat(self, before: float, trips: float, node: ast.For) -> None:
-        """The work since then is done so many times."""
+        """Multiplies the work counted since `before` by the number of trips of a loop."""
         self.work = before + (self.work - before) * trips
         is_long = self.work - before > _LONG and self._threads <= _FEW
         if is_long and not self._told and self.context.options.arch == "cuda":
@@ -45,7 +45,7 @@ class SerialWork(Part):
             self._warn(self.work - before, node)
 
     def begin_parallel(self, bounds: Any, shape: Any, is_serial: bool) -> tuple[float, float]:
-        """A loop at the top begins. What `end_parallel` needs."""
+        """Begins a loop at the top of a kernel; returns the state that `end_parallel` needs."""
         kept = self.work, self._threads
         if not is_serial:
             self._threads *= self._iterations(bounds, shape)

@@ -12,7 +12,7 @@ from .desugar import plain_definition
 
 
 def function_ast(function: Callable[..., Any]) -> ast.FunctionDef:
-    """The definition of `function`, as `desugar` leaves it.
+    """Returns the syntax tree of `function`, as `desugar` leaves it.
 
     Raises:
         TaiSyntaxError: its source is not at hand, or has changed, or a pattern is refused.
@@ -26,7 +26,7 @@ def function_ast(function: Callable[..., Any]) -> ast.FunctionDef:
 
 
 def closure_of(function: Callable[..., Any]) -> dict[str, Any]:
-    """The variables that `function` takes from the functions around it."""
+    """Returns the variables that `function` takes from the functions around it."""
     values = {}
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:
@@ -37,7 +37,7 @@ def closure_of(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def dotted(node: ast.expr) -> list[str] | None:
-    """The names of `a.b.c`, or None if `node` is something else."""
+    """Returns the names in `a.b.c`, or None if `node` is another expression."""
     names: list[str] = []
     while isinstance(node, ast.Attribute):
         names.insert(0, node.attr)
@@ -46,7 +46,7 @@ def dotted(node: ast.expr) -> list[str] | None:
 
 
 def own_exits(statements: list[ast.stmt]) -> bool:
-    """Whether the statements hold a `break` or `continue` of the loop around them."""
+    """Whether the statements contain a `break` or `continue` of the loop around them."""
     for statement in statements:
         if isinstance(statement, (ast.Break, ast.Continue)):
             return True
@@ -58,7 +58,7 @@ def own_exits(statements: list[ast.stmt]) -> bool:
 
 
 class AssignedNames(ast.NodeVisitor):
-    """Collects the names whose variables some statements may change.
+    """Collects the names of variables that some statements may change.
 
     Args:
         takes_reference: tells whether a call may change the variables given to it.

@@ -40,7 +40,7 @@ def level_of(thing: Any, what: str) -> SNode:
 
 
 class Level:
-    """A level, seen from a field below it.
+    """A level of the layout, as seen from a field below it.
 
     Attributes:
         field: the first field below, whose indices name cells.
@@ -70,7 +70,7 @@ class Level:
         return len(self.dimensions)
 
     def element(self, emitter: Emitter, indices: list[Any]) -> list[Any]:
-        """Handles of the indices of the first element in a cell."""
+        """Returns the indices of the first element in a cell, as handles."""
         offset = self.field.offset or (0,) * len(self.scale)
         handles = [emitter.index(first) for first in offset]
         for dimension, index in zip(self.dimensions, indices, strict=True):
@@ -96,7 +96,7 @@ class Levels(Part):
         self.appends = False
 
     def level_call(self, function: Any, args: list) -> Any:
-        """A call of `ti.activate`, `ti.is_active`, `ti.append`, …"""
+        """Compiles a call of `ti.activate`, `ti.is_active`, `ti.append` and so on."""
         name = f"ti.{function.__name__}"
         if function is ops.rescale_index:
             return self._rescale(args)
@@ -111,7 +111,7 @@ class Levels(Part):
             value = args[2] if function is ops.append else None
             return self.list_call(level, indices, value, name)
         if level.node.kind == "dynamic" and function is ops.deactivate:
-            # A list goes as a whole.
+            # A list is deactivated as a whole, so the program may leave out the index along it.
             if len(indices) == level.rank - 1:
                 indices = self._with_list_index(level, indices, 0)
         if len(indices) != level.rank:
@@ -133,7 +133,7 @@ class Levels(Part):
         return None
 
     def list_call(self, level: Level, indices: list, value: Any, name: str) -> Any:
-        """`ti.append` (with a value) or `ti.length` of a list."""
+        """Compiles `ti.append` (with a value) or `ti.length` of a list."""
         node, emitter = level.node, self.emitter
         if node.kind != "dynamic":
             raise TaiTypeError(
@@ -187,7 +187,7 @@ class Levels(Part):
         return number
 
     def _address(self, args: list) -> Any:
-        """`ti.get_addr(field, indices)`: where an element lies, as a u64."""
+        """Compiles `ti.get_addr(field, indices)`: the address of an element, as a u64."""
         if len(args) != 2 or not isinstance(args[0], Field):
             raise TaiTypeError("ti.get_addr takes (field, indices)")
         field, indices = args[0], flatten_indices(args[1])
@@ -211,7 +211,8 @@ class Levels(Part):
                 if extent == 1:
                     continue
                 dimension = axes.index(axis)
-                # A step along one digit is worth the same everywhere.
+                # One step along a digit of an index changes the address by the same bytes
+                # everywhere.
                 step = list(begin)
                 step[dimension] += below[axis]
                 stride = storage.core.address(tuple(step)) - base
@@ -276,7 +277,7 @@ class ListElement:
         ]
 
     def append(self, value: Any) -> Value:
-        """Adds a cell and returns its index."""
+        """Emits the append of a cell to a list, and returns the index of the cell."""
         return self._levels.list_call(self._level, self._indices, value, "append")
 
     def length(self) -> Value:

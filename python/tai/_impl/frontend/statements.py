@@ -66,7 +66,8 @@ class Statements(Part):
             self.emitter.stopped = outer
 
     def stopped_in(self, statements: list[ast.stmt]) -> set[int]:
-        """The places that `ti.stop_grad(field)` makes constants, here and around.
+        """Returns the fields that `ti.stop_grad(field)` makes constants, in these statements or
+        around.
 
         The statement holds for the whole block that it stands in.
         """
@@ -87,7 +88,7 @@ class Statements(Part):
         for number, statement in enumerate(statements):
             rest = statements[number + 1 :]
             if isinstance(statement, ast.If) and rest and always_returns(statement.body):
-                # The statements that follow are all that the other branch does.
+                # The statements that follow an `if` with a return are compiled as its other branch.
                 self.guarded(partial(self.visit_If, rest=rest), statement)
                 return
             self.visit(statement)
@@ -103,11 +104,11 @@ class Statements(Part):
     ) -> None:
         """Compiles statements that run only if no earlier one has left the body."""
         is_dead = self.regions.branch(running, self.as_top(action), None, rest, node)[0]
-        # The body was left before, or it is left there.
+        # The body has been left in both cases: by an earlier statement, or by these statements.
         self.context.is_dead = is_dead
 
     def as_top(self, action: Callable[[], None]) -> Callable[[], None]:
-        """Lets the outermost loops behind a return still run in parallel."""
+        """Wraps `action` so that outermost loops behind a return still run in parallel."""
         if self.context.depth != self.context.top_depth:
             return action
 

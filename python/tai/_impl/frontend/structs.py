@@ -20,7 +20,7 @@ from .source import AssignedNames, closure_of, dotted, function_ast
 
 
 class StructMethod:
-    """A `@ti.func` of a struct type with its receiver."""
+    """A `@ti.func` of a struct type, together with the struct on which it is called."""
 
     def __init__(self, function: Any, receiver: Any):
         self._tai_func = function._tai_func
@@ -31,7 +31,7 @@ class StructMethod:
 
 
 class _Members:
-    """Members of struct values and of struct places."""
+    """Gives access to the members of struct values and of struct places."""
 
     type: StructType
     members: dict[str, Any]
@@ -64,7 +64,7 @@ class StructValue(_Members):
         return self.member(name)
 
     def leaves(self) -> Iterator[Value]:
-        """The values, in the order of the members."""
+        """Yields the numbers and matrices of a struct value, in the order of the members."""
         for value in self.members.values():
             if isinstance(value, StructValue):
                 yield from value.leaves()
@@ -122,7 +122,7 @@ def _variable_place(emitter: Any, name: str, value: StructValue) -> StructPlace:
 
 
 def make_value(emitter: Any, type_: StructType, given: dict[str, Any]) -> StructValue:
-    """A struct of these members, each converted to its type."""
+    """Makes a struct value of these members, each converted to its type."""
     members = {}
     for name, kind in type_.members.items():
         value = given[name]
@@ -181,7 +181,7 @@ def variables_of(meaning: Any) -> Iterator[Variable]:
 
 
 def changes_struct(type_: StructType, name: str, known: dict[tuple, bool]) -> bool:
-    """Whether a method may change the struct that it is called of.
+    """Whether a method may change the struct on which it is called.
 
     Args:
         type_: of the struct.
@@ -235,7 +235,7 @@ def _changes_struct(type_: StructType, name: str, known: dict[tuple, bool]) -> b
 
 
 def struct_element(emitter: Any, field: StructField, key: Any) -> StructPlace:
-    """The element of a struct field that a subscript names."""
+    """Returns the element of a struct field that a subscript names."""
     members: dict[str, Place] = {}
     for name, member in field.members.items():
         if isinstance(member, StructField):

@@ -33,7 +33,7 @@ _FUNCTIONS = (FunctionType, BuiltinFunctionType, MethodType)
 _LEAVES = (bool, int, float, complex, str, bytes, type(None), np.generic, np.ndarray, np.dtype,
            enum.Enum, range)  # fmt: skip
 
-# Attributes of an array that say nothing of its elements.
+# Attributes of an array that do not depend on its elements.
 ARRAY_FORM = ("shape", "ndim", "size", "dtype")
 
 # The number of compilations for changing attributes after which a kernel warns.
@@ -47,7 +47,7 @@ def hint(value: Any) -> Any:
 
 
 def take(value: Any, parameter: str, kernel: str) -> Any:
-    """The constant that a template argument is now.
+    """Returns the constant that a template argument stands for at present.
 
     Code does not keep the objects alive that it was compiled for; see `is_weak`.
     """
@@ -63,7 +63,7 @@ def take(value: Any, parameter: str, kernel: str) -> Any:
 
 
 def is_weak(value: Any) -> bool:
-    """Whether kernels let go of a template argument: an object of a `data_oriented` class."""
+    """Whether kernels hold a template argument weakly: an object of a `data_oriented` class."""
     kind = type(value)
     return getattr(kind, "_tai_data_oriented", False) and kind.__weakrefoffset__ != 0
 
@@ -94,7 +94,7 @@ class Reads:
     def __init__(self, templates: list[Any]):
         self._followed: dict[int, Any] = {}
         self._noted: dict[tuple[int, str], tuple[Any, str, Any]] = {}
-        # Arguments that the code does not keep alive.
+        # Template arguments that the compiled code does not keep alive.
         self._weak = {id(thing): weakref.ref(thing) for thing in templates if is_weak(thing)}
         for thing in templates:
             if isinstance(thing, ModuleType):
@@ -109,7 +109,7 @@ class Reads:
         ]
 
     def note(self, owner: Any, name: str, value: Any, form_only: bool = False) -> None:
-        """Says that `owner.name` was read and is `value`.
+        """Notes that the attribute `owner.name` was read and had the value `value`.
 
         Args:
             owner, name, value: of the attribute.
@@ -160,7 +160,7 @@ class Reads:
 
     @staticmethod
     def _is_stored(owner: Any, name: str) -> bool:
-        """Whether the attribute is stored, and not computed or bound when it is read."""
+        """Whether the attribute is stored in the object, and not computed when it is read."""
         if name in getattr(owner, "__dict__", ()):
             found = vars(owner)[name]
             return not isinstance(owner, type) or not hasattr(type(found), "__get__")
@@ -169,7 +169,7 @@ class Reads:
 
 
 def still_hold(reads: list[tuple[Any, str, Any]]) -> bool:
-    """Whether all attributes still have their recorded values."""
+    """Whether all attributes that were read still have their recorded values."""
     missing = object()
     return all(
         constant.matches(getattr(owner_of(owner), name, missing)) for owner, name, constant in reads

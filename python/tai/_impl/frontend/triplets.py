@@ -9,7 +9,7 @@ from .refs import ArrayArgument, Place
 
 
 class TripletsValue:
-    """A builder that was given to the kernel."""
+    """A sparse matrix builder that is an argument of the kernel."""
 
     def __init__(self, emitter: Any, name: str, arrays: dict[str, ArrayArgument]):
         self.emitter, self.name, self.arrays = emitter, name, arrays
@@ -26,7 +26,7 @@ class TripletsValue:
 
 
 class TripletPlace(Place):
-    """An entry of the matrix, which can be added to only."""
+    """An entry of a sparse matrix builder, to which a kernel can only add."""
 
     shape = ()
 

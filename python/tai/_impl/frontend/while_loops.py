@@ -42,12 +42,13 @@ class WhileLoops(Part):
             return None if value else emitter.constant(False, u1)
 
         self.frame.loops.append(loop)
-        # The condition may call a function that changes a variable.
+        # The condition is evaluated as a statement, because it may call a function that changes a
+        # variable.
         test = ast.copy_location(ast.Expr(node.test), node.test)
         variables = loop.carried = self.regions.changed_by([test], node.body)
         self.frame.loops.pop()
         self._carried_while(loop, variables, condition, node)
-        # Without a condition and `break`, only `return` leaves it.
+        # Without a condition and without `break`, only a `return` leaves the loop.
         endless = isinstance(node.test, ast.Constant) and node.test.value
         returns = find_return(node.body) is not None
         self.context.is_dead = bool(endless) and loop.broken is None and returns
@@ -94,7 +95,8 @@ class WhileLoops(Part):
     def _both(
         self, running: Value, condition: Callable[[], Value | None], variables: list[Variable]
     ) -> Value:
-        """`running and condition()`, evaluating the condition only while running.
+        """Emits `running and condition()`, which evaluates the condition only while `running`
+        holds.
 
         Args:
             variables: those that the condition may change are among them.

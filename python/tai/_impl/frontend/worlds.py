@@ -23,11 +23,11 @@ ACTIVE = "(the world is active)"
 
 
 class WorldLoop(ast.For):
-    """A loop over the worlds alone, around statements of a world."""
+    """A loop over the worlds of a batch, around statements that belong to one world."""
 
 
 def batch_of(field: Any) -> Any:
-    """The batch that a field belongs to, or None."""
+    """Returns the batch that a field belongs to, or None."""
     while True:
         if isinstance(field, ComponentField):
             field = field._whole
@@ -57,7 +57,7 @@ class Stack:
 
 
 class Worlds:
-    """The worlds of the kernel that is compiled.
+    """The worlds of the batch for which a kernel is compiled.
 
     Attributes:
         batch: the `ti.batch`, or a `Stack`.
@@ -77,11 +77,11 @@ class Worlds:
         return emitter.from_index(emitter.builder.extent(self.sized_by, emitter.index(0)))
 
     def is_stacked(self, name: str) -> bool:
-        """Whether a parameter is an array with a part for each world."""
+        """Whether a parameter is an array with separate elements for each world."""
         return isinstance(self.batch, Stack) and name in self.batch.names
 
     def index_of_array(self, name: str) -> Any:
-        """The first index of an element of such an array.
+        """Returns the first index of an element of such an array: the number of the world.
 
         Raises:
             TaiSyntaxError: the statement does not belong to a world.
@@ -95,11 +95,11 @@ class Worlds:
         return self.index
 
     def has(self, field: Any) -> bool:
-        """Whether a field has an element, or a part, for each world."""
+        """Whether a field has separate elements for each world."""
         return batch_of(field) is self.batch
 
     def indices(self, field: Any, indices: list[Any]) -> list[Any]:
-        """The indices of an element of a field, in its memory.
+        """Returns the indices of an element of a field in memory, where the world comes first.
 
         Raises:
             TaiSyntaxError: the statement does not belong to a world.
@@ -124,7 +124,7 @@ class Worlds:
 
 
 def single_world(field: Any) -> Any:
-    """The shape of a field of a batch in one world."""
+    """Returns the shape of a field of a batch within one world."""
     return tuple(field.shape[1:])
 
 

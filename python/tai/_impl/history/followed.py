@@ -22,7 +22,7 @@ def has_history(field: Any) -> bool:
 
 
 def _leaves_of(field: Any) -> list[Any]:
-    """The field, or those of all members of a struct."""
+    """Returns the field as a list, or the fields of all members of a struct."""
     members = getattr(field, "members", None)
     if members is None:
         return [field]
@@ -35,7 +35,7 @@ def _is_internal(field: Any) -> bool:
 
 
 def carries_history(value: Any) -> bool:
-    """Whether the numbers that Python reads of a value depend on values with a gradient."""
+    """Whether numbers that Python reads from a value depend on values with a gradient."""
     if is_followed(value):
         return True
     if isinstance(value, Elements) and any(map(has_history, _leaves_of(value))):
@@ -51,7 +51,7 @@ def is_marked(value: Any) -> bool:
 
 
 def is_followed(value: Any) -> bool:
-    """Whether the value has a history, as kernels see it."""
+    """Whether kernels see the value as one with a gradient or a tangent."""
     return (
         getattr(value, "_gradient", None) is not None or getattr(value, "_cell", None) is not None
     )

@@ -14,7 +14,7 @@ from ..base.locks import Lock, snapshot
 
 
 class Gradient:
-    """The sum of the gradient of one value.
+    """The gradient of one value of Python, to which kernels add.
 
     Attributes:
         shape: that of the value.
@@ -37,7 +37,7 @@ class Gradient:
         return self.dt is None and self.parts is None
 
     def buffer(self, dt: DataType) -> np.ndarray:
-        """The memory that kernels with values of type `dt` use."""
+        """Returns the memory to which kernels with values of type `dt` add the gradient."""
         found = self.buffers.get(dt)
         if found is None:
             found = self.buffers[dt] = np.zeros(self.shape, dt.numpy)
@@ -79,7 +79,7 @@ class Gradient:
 # All variables, and all arrays with a gradient, which clearing gradients clears.
 _variables: weakref.WeakSet = weakref.WeakSet()
 _arrays: weakref.WeakSet = weakref.WeakSet()
-# A set must not grow while another thread goes through it.
+# Guards the set, which must not grow while another thread iterates over it.
 _lock = Lock()
 
 

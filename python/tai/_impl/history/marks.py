@@ -20,7 +20,7 @@ from ..base.program import at_close
 
 
 class Mark(Enum):
-    """The origin of the numbers."""
+    """The origin of numbers in memory: where they were computed."""
 
     KERNEL = 1  # a recorded kernel has stored them
     HOST = 2  # Python has computed them
@@ -41,7 +41,7 @@ class Extent(NamedTuple):
     size: int
 
     def overlaps(self, other: Extent) -> bool:
-        """Whether elements may share memory: the columns of a matrix lie between each other."""
+        """Whether elements of two extents may share memory; columns of a matrix are interleaved."""
         if self.begin >= other.end or other.begin >= self.end:
             return False
         common = math.gcd(self.step, other.step)
@@ -50,7 +50,7 @@ class Extent(NamedTuple):
 
 
 class _Region:
-    """Memory with a mark, for as long as its owner lives."""
+    """Memory with a mark, which is valid as long as the owner of the memory lives."""
 
     def __init__(self, extent: Extent, mark: Mark, owner: Any):
         # A part of an array may be a new object for each use.
@@ -67,7 +67,7 @@ class _View(_Region):
         self._loan = weakref.ref(loan)
 
     def field(self) -> Any:
-        """The field, or None if it or the view is gone."""
+        """The field that the memory belongs to, or None if the field or the view is gone."""
         field = None if self._loan() is None else self.owner()
         is_there = field is not None and (getattr(field, "single", None) or field).is_current()
         return field if is_there else None
@@ -174,12 +174,12 @@ def has_views() -> bool:
 
 
 def is_empty() -> bool:
-    """Whether nothing is marked, so that no value need be looked up."""
+    """Whether no memory is marked, so that no value need be looked up."""
     return not (_of_thread.regions or _of_thread.objects or _views)
 
 
 def clear() -> None:
-    """The tape records no more."""
+    """Removes all marks, when the tape records no more."""
     _of_thread.objects.clear()
     _of_thread.regions.clear()
 

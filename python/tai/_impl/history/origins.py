@@ -50,14 +50,14 @@ _of_thread = _OfThread()
 
 
 def begin() -> None:
-    """A value with a history has come to Python."""
+    """Begins to follow values: a value with a gradient has come to Python."""
     if not _of_thread.watches and (state.tape is not None or state.forward):
         _of_thread.watches = True
         native.watch_numbers(True)
 
 
 def end() -> None:
-    """Nothing is recorded or followed any more."""
+    """Ends the following of values: nothing is recorded any more."""
     marks.clear()
     _of_thread.watching, _of_thread.opened = None, 0
     if _of_thread.views:
@@ -69,7 +69,7 @@ def end() -> None:
 
 
 def forget() -> None:
-    """The program is over: its places are looked at again."""
+    """Forgets the lines that were looked at, when the program is over."""
     end()
     _forget_sites()
 
@@ -96,7 +96,7 @@ def dual_of_written(field: Any) -> Any:
 
 
 def end_tangent(field: Any) -> None:
-    """Python has written all of a place."""
+    """Ends the tangent of a field, because Python has overwritten the whole field."""
     dual = dual_of_written(field) if state.forward else None
     if dual is not None:
         dual.fill(0.0)
@@ -109,7 +109,7 @@ def note_read(field: Any) -> None:
 
 
 def note_tape(tape: Any, looks_at_all: bool) -> None:
-    """A tape begins to record.
+    """Notes that a tape begins to record.
 
     Args:
         tape: the core.
@@ -150,7 +150,7 @@ def check_views() -> None:
     fields = [_of_thread.views[number][0] for number in changed]
     if frame is None or not is_new_place(frame, fields[0]):
         return
-    # Elements of fields in common cells lie between each other.
+    # Elements of fields that share cells are interleaved in memory.
     names = " or ".join(f"'{field.name}'" for field in fields)
     warn_at(
         frame,
@@ -176,7 +176,7 @@ def note_view(field: Any, loan: Any, address: int, steps: tuple[int, ...]) -> No
     if state.tape is not None or state.forward:
         note_read(field)
     if state.tape is not None:
-        # Writes from before this view are told first.
+        # Writes made before this view existed are reported first.
         check_views()
         _watch_views()
 
@@ -200,7 +200,9 @@ def note_computed(result: Any, *operands: Any) -> Any:
 
 
 def is_new_place(frame: Any, what: Any) -> bool:
-    """Whether the line has not been looked at for `what`, an object that is kept from now on."""
+    """Whether the line of `frame` has not been examined for `what`, an object that is kept from now
+    on.
+    """
     code = frame.f_code
     place = (id(code), frame.f_lineno)
     codes = [code]
@@ -235,7 +237,7 @@ def _settle(frame: Any, what: Any, reading: Reading, has_warned: bool) -> None:
 
 
 def check_call(kernel: Any, names: list[str], values: dict[str, Any]) -> None:
-    """Looks at the plain numbers that a kernel is called with.
+    """Examines the plain numbers with which a kernel is called for lost gradients.
 
     Args:
         kernel, names: of the call, and its parameters.
@@ -256,12 +258,12 @@ def check_call(kernel: Any, names: list[str], values: dict[str, Any]) -> None:
             _warn(frame, f"what parameter '{name}' of kernel '{kernel.__name__}' is given")
         _settle(frame, kernel, reading, bool(lost))
     if (id(frame.f_code), frame.f_lineno) not in _asking:
-        # The launcher need not come here again.
+        # The launcher is told that it need not call this function again for the line.
         native.note_site(frame.f_code, frame.f_lineno, kernel)
 
 
 def check_arrays(kernel: Any, names: list[str], arrays: dict[str, Any]) -> None:
-    """Looks at arrays without a gradient that a recorded launch reads.
+    """Examines arrays without a gradient that a recorded launch reads for lost gradients.
 
     The tape follows an array from a launch that stores to it to one that reads it. It sees neither
     an array that Python computes in between, nor that the memory is that of a field.
@@ -286,7 +288,7 @@ def check_arrays(kernel: Any, names: list[str], arrays: dict[str, Any]) -> None:
             )
         if marks.mark_of(value) is Mark.HOST and is_new_place(frame, _warn):
             _warn(frame, f"what array '{name}' of kernel '{kernel.__name__}' is given")
-    # Arrays that kernels have stored to are followed by the tape.
+    # Arrays to which kernels have stored are followed by the tape itself.
     unknown = {
         n: v for n, v in arrays.items()
         if marks.mark_of(v) is None and marks.field_behind(v) is None

@@ -30,12 +30,12 @@ _DISCRETE = (
     len, range, isinstance, type, print, str, bool, int, round, math.floor, math.ceil, math.trunc,
 )  # fmt: skip
 
-# Methods of containers that keep their argument.
+# Methods of containers that keep their argument in the container.
 _KEEPING = {
     "add", "append", "appendleft", "extend", "extendleft", "insert", "put", "setdefault", "update",
 }  # fmt: skip
 
-# Calls of functions that are followed into their text.
+# The depth to which calls of functions are followed into the text of the callee.
 _DEPTH = 3
 # Callers of a function that launches, up to the one that records.
 _MOST_CALLERS = 8
@@ -44,7 +44,7 @@ _MOST_PASSES = 4
 
 
 def as_kernel(called: Any) -> Any:
-    """The kernel behind a method or a static method."""
+    """Returns the kernel behind a method or a static method."""
     called = getattr(called, "__func__", called)
     return getattr(called, "_kernel", called)
 
@@ -58,7 +58,7 @@ def _parse(text: str) -> ast.Module | None:
 
 
 def _find_body(filename: str, line: int, name: str) -> ast.AST | None:
-    """The definition of a function, or the module."""
+    """Returns the definition of a function in its file, or the syntax tree of the module."""
     linecache.checkcache(filename)  # a module may have been loaded again
     module = _parse("".join(linecache.getlines(filename)))
     if module is None or name == "<module>":
@@ -117,7 +117,7 @@ def callers(frame: Any, recording: Any) -> list[Any]:
 
 
 class Reading:
-    """The texts around one place, read once.
+    """Reads the source texts around one place of the program, each once.
 
     Attributes:
         asks_callers: whether an answer depends on the arguments that callers have given.
@@ -138,7 +138,7 @@ class Reading:
 
     @property
     def scope(self) -> Scope:
-        """The text of the place."""
+        """The text of the function at the place, with the meanings of its names."""
         return self.scope_of(0)
 
     def scope_of(self, number: int) -> Scope:
@@ -164,7 +164,7 @@ class Reading:
     def callers(self) -> int:
         """The number of callers whose texts are known to belong to the recorded program."""
         last = self._frames[-1]
-        # Elsewhere the tape has been opened somewhere else.
+        # Elsewhere in the call stack, the tape was opened by another function.
         is_inside = last.f_code is self._recording or len(self._frames) > _MOST_CALLERS
         return len(self._frames) - 1 if is_inside else 0
 
@@ -174,7 +174,7 @@ class Reading:
         return [extent for extent in found if extent is not None]
 
     def is_kept(self, value: Any) -> bool:
-        """Whether the program keeps a number with a history in an object, and it is this one."""
+        """Whether the program keeps this number, which has a gradient, in an object."""
         if self._kept is None:
             self._kept = {}
             for _ in range(_MOST_PASSES):
@@ -213,9 +213,9 @@ class Scope:
         self._nodes = [] if body is None else list(ast.walk(body))
         self._tainted = set() if tainted is None else tainted
         self._caller = caller
-        # The parameters with a history by the text of the caller.
+        # The parameters that have a gradient, according to the text of the caller; None if unknown.
         self._given: set[str] | None = None
-        # The nodes of blocks that are not recorded.
+        # The syntax nodes in blocks that are not recorded.
         self._apart = {
             id(part) for node in self._nodes if isinstance(node, ast.With)
             if any(_is_no_grad(item.context_expr) for item in node.items) for part in ast.walk(node)
@@ -286,7 +286,7 @@ class Scope:
             found += [name for name in names if name in given and holds(given[name])]
         if is_called:
             return found
-        # Something else calls it, such as `map` or a partial function.
+        # Other code calls the function, such as `map` or a partial function.
         parts = [part for call in calls for part in [call.func, *_arguments(call)]]
         return names if any(map(holds, parts)) else []
 
@@ -299,7 +299,7 @@ class Scope:
                 continue
             if isinstance(node, (ast.Assign, ast.AugAssign)):
                 targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-                # A name is bound anew, and no field is written.
+                # The statement binds a name anew, and writes no field.
                 if any(isinstance(part, (ast.Subscript, ast.Attribute))
                        for target in targets for part in ast.walk(target)):  # fmt: skip
                     found.append(node.value)
@@ -311,7 +311,7 @@ class Scope:
     # Numbers and arrays that the program keeps
 
     def _targets(self) -> Iterator[ast.expr]:
-        """The targets of assignments of values with a history."""
+        """Yields the targets of assignments of values with a gradient."""
         for node in _own_nodes(self._body):
             if isinstance(node, (ast.Assign, ast.AugAssign, ast.AnnAssign)):
                 if node.value is not None and self.has_history(node.value):
@@ -382,7 +382,7 @@ class Scope:
         if called in (np.copyto, np.put, np.place, np.putmask):
             outs, values = call.args[:1], call.args[1:]
         elif isinstance(call.func, ast.Attribute):
-            # Methods of arrays and of torch's tensors that change them.
+            # The method is one of arrays or of torch's tensors that changes them.
             name = call.func.attr
             if name in ("fill", "put") or (name.endswith("_") and not name.startswith("_")):
                 outs = [*outs, call.func.value]
@@ -428,9 +428,9 @@ class Scope:
         )
 
     def has_history(self, node: ast.AST) -> bool:
-        """Whether the value of an expression comes from one with a history."""
+        """Whether the value of an expression is computed from a value with a gradient."""
         if isinstance(node, ast.Name):
-            # A list has a history if an element has.
+            # A list counts as having a gradient if one of its elements has.
             return (
                 node.id in self._tainted or self._has_tainted_element(node.id)
                 or self._is_known(node) or self._is_given(node.id)
@@ -443,7 +443,7 @@ class Scope:
                 return True
             if path is not None and self._has_tainted_element(path):
                 return True
-            # A number that an object holds tells of itself.
+            # A number that an object holds is a plain one here, and has no gradient.
             if isinstance(self.resolve(node), (int, float)):
                 return False
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv):
@@ -451,7 +451,7 @@ class Scope:
         if isinstance(node, ast.Subscript):
             return self._element_has_history(node)
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
-            # A sparse matrix reads the vector.
+            # The product with a sparse matrix reads the vector on its right.
             if carries_history(self.resolve(node.right)):
                 return True
         if isinstance(node, ast.IfExp):
@@ -481,7 +481,7 @@ class Scope:
         )
 
     def is_computed(self, node: ast.AST) -> bool:
-        """Whether an expression gives an array that was computed from values with a history.
+        """Whether an expression gives an array that was computed from values with a gradient.
 
         The memory of an array that it merely names has been looked at.
         """
@@ -494,14 +494,14 @@ class Scope:
         return self.has_history(node)
 
     def _is_known(self, node: ast.AST) -> bool:
-        """Whether a name or an attribute stands for a value with a history now."""
+        """Whether a name or an attribute stands for a value with a gradient at present."""
         value = self.resolve(node)
         if isinstance(value, float) and self._reading.is_kept(value):
             return True
         return is_followed(value) or (not marks.is_empty() and is_marked(value))
 
     def _is_given(self, name: str) -> bool:
-        """Whether callers have given a parameter a value with a history."""
+        """Whether callers have passed a value with a gradient for a parameter."""
         if self._caller is None or self._caller >= self._reading.callers:
             return False
         code = self._reading.code(self._caller)
@@ -522,7 +522,7 @@ class Scope:
         return name in self._given
 
     def _has_history_outside(self, name: str) -> bool:
-        """Whether a variable of an enclosing function, which calls this one, has a history."""
+        """Whether a variable of an enclosing function, which calls this one, has a gradient."""
         assert self._caller is not None
         for number in range(self._caller + 1, self._reading.callers + 1):
             if name in self._reading.code(number).co_cellvars:
@@ -547,7 +547,7 @@ class Scope:
                 found |= {name for name, value in given.items() if self.has_history(value)}
         if is_called:
             return found
-        # Something else calls the function, such as `map` or a decorator.
+        # Other code calls the function, such as `map` or a decorator.
         parts = [part for call in calls for part in _arguments(call)]
         return set(code.co_varnames) if any(map(self.has_history, parts)) else set()
 
@@ -575,7 +575,7 @@ class Scope:
         return any(map(self.has_history, _arguments(node)))
 
     def _given_by(self, function: FunctionType, call: ast.Call) -> dict[str, ast.AST]:
-        """The arguments of a call by the names of the parameters."""
+        """Returns the arguments of a call by the names of the parameters."""
         code = function.__code__
         arguments: list[ast.AST] = []
         if isinstance(call.func, ast.Attribute):
@@ -624,7 +624,7 @@ class Scope:
         return any(inner.has_history(value) for value in returns)
 
 
-# Values of parameters that callers are asked about.
+# Types of parameter values for which callers are examined.
 _GIVEN = (float, np.floating, np.ndarray, list, tuple, dict, deque)
 
 
@@ -633,7 +633,7 @@ def _arguments(call: ast.Call) -> list[ast.AST]:
 
 
 def _bind(call: ast.Call, names: list[str]) -> dict[str, ast.AST]:
-    """The expressions that a call gives parameters, by name.
+    """Returns the expressions that a call passes for parameters, by name.
 
     An unpacked list may give all parameters from its place on, and an unpacked dictionary all.
     """
@@ -651,7 +651,7 @@ def _bind(call: ast.Call, names: list[str]) -> dict[str, ast.AST]:
 
 
 def _constant(node: ast.AST) -> Any:
-    """The value of a constant index, or None."""
+    """Returns the value of a constant index, or None."""
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         value = _constant(node.operand)
         return -value if isinstance(value, int) else None
@@ -659,7 +659,7 @@ def _constant(node: ast.AST) -> Any:
 
 
 def _path_of(node: ast.AST) -> str | None:
-    """The path of an expression; None if it has none."""
+    """Returns the path of names that an expression consists of; None if it is no such path."""
     if isinstance(node, ast.Name):
         return node.id
     if not isinstance(node, (ast.Attribute, ast.Subscript)):
@@ -670,7 +670,7 @@ def _path_of(node: ast.AST) -> str | None:
     if isinstance(node, ast.Attribute):
         return f"{base}.{node.attr}"
     key = _constant(node.slice)
-    # The last elements of a list may be any.
+    # The last elements of a list, at negative indices, may be any elements.
     is_known = key is not None and not (isinstance(key, int) and key < 0)
     return f"{base}[{key!r}]" if is_known else f"{base}[*]"
 
@@ -691,7 +691,7 @@ def _is_in(value: Any, values: tuple[Any, ...]) -> bool:
 
 
 def _is_no_grad(node: ast.AST) -> bool:
-    """Whether an expression is `ti.ad.no_grad()`."""
+    """Whether an expression is a call of `ti.ad.no_grad()`."""
     called = node.func if isinstance(node, ast.Call) else node
     return getattr(called, "attr", getattr(called, "id", None)) == "no_grad"
 

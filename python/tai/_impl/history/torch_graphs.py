@@ -39,8 +39,9 @@ def check_leaf(value: Any, what: str) -> None:
 
 
 def cuts_graph(specs: list[Any], result: Any) -> bool:
-    """Whether a launch reads a tensor that requires a gradient, and leaves values that depend on
-    it where torch does not know of the dependence."""
+    """Whether a launch loses a gradient: it reads a tensor that requires one, and leaves values
+    that depend on it where torch does not know of the dependence.
+    """
     if not any(spec.has_gradient and spec.kind == "array" and spec.is_read for spec in specs):
         return False
     if result is not None and result.dt.is_float:

@@ -50,9 +50,9 @@ class DeviceArray:
         self._owner, self._number = owner, number
 
     def check(self, what: str) -> None:
-        """Raises where kernels cannot use it."""
+        """Raises an error if kernels cannot use the array."""
         context = get_program().context
-        # An emulated GPU knows its own memory.
+        # An emulated GPU recognises addresses of its own memory.
         if not context.is_on_gpu() and not (
             self.nbytes == 0 or context.is_on_device(self.ctypes.data)
         ):
@@ -71,7 +71,7 @@ class DeviceArray:
             )
 
     def stream(self) -> int:
-        """The stream on which its library works now."""
+        """The stream on which the array's library works at present."""
         return stream_number(self.library)
 
     def to_numpy(self) -> np.ndarray:
@@ -83,7 +83,7 @@ class DeviceArray:
 
 @functools.cache
 def numpy_type(dtype: Any) -> np.dtype:
-    """NumPy's name for a type of torch.
+    """Returns NumPy's type for a type of torch.
 
     Raises:
         TaiRuntimeTypeError: it has none, as bfloat16.
@@ -142,7 +142,7 @@ _FORMS = [
 
 
 def is_of_jax(value: Any) -> bool:
-    """Whether a value is an array of JAX, or stands for one."""
+    """Whether a value is an array of JAX, or a tracer that stands for one."""
     return type(value).__module__.split(".")[0] in ("jax", "jaxlib")
 
 
@@ -219,7 +219,8 @@ def from_dlpack(value: Any) -> Any:
             f"the array is on a device of kind {kind}, not on an NVIDIA GPU",
             "copy it to the CPU, or to a GPU by CUDA",
         )
-    # Its stream waits; ours is told to wait for that.
+    # The stream of the other library waits for its own work; this library's stream is told to wait
+    # for that.
     found = native.take_dlpack(value.__dlpack__(stream=1))
     dt = dtype_of(*found["type"])
     if dt is None:
@@ -243,7 +244,7 @@ def order_before(arrays: list[DeviceArray]) -> set[int]:
 
 
 def order_after(streams: set[int]) -> None:
-    """Makes the streams wait for the launch."""
+    """Makes the streams of other libraries wait for the launch."""
     context = get_program().context
     for stream in streams:
         context.let_stream_wait(stream)

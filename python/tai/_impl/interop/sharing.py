@@ -15,7 +15,7 @@ from .streams import wait_for_stream
 
 
 def _storage(field: Any) -> Any:
-    """The place that holds all of the field."""
+    """Returns the scalar field whose memory holds all elements of the field."""
     field._placed_node()
     single = getattr(field, "single", field)
     if single is None or getattr(field, "is_window", False):
@@ -27,13 +27,13 @@ def _storage(field: Any) -> Any:
 
 
 def field_device(field: Any) -> tuple[int, int]:
-    """Kind and number of the device, as DLPack has them."""
+    """Returns the kind and number of the device where a field is, as DLPack defines them."""
     _storage(field).materialize()
     return (CUDA, 0) if get_program().context.is_on_gpu() else (CPU, 0)
 
 
 def check_on_host(field: Any) -> None:
-    """Raises BufferError for a field on a GPU."""
+    """Raises BufferError for a field in the memory of a GPU."""
     if field_device(field)[0] != CPU:
         raise BufferError(
             f"field '{field.name}' is on the GPU, where NumPy has no arrays; copy it, by to_numpy()"
@@ -41,7 +41,7 @@ def check_on_host(field: Any) -> None:
 
 
 class Loan:
-    """Keeps the memory of a field for another library."""
+    """Keeps the memory of a field alive while another library uses it."""
 
     def __init__(self, owner: Any):
         self._owner = owner
@@ -93,7 +93,7 @@ def cuda_interface(field: Any) -> tuple[dict[str, Any], Loan]:
         raise AttributeError(str(error)) from None
     if field.dtype is bf16:
         raise AttributeError(f"field '{field.name}' holds bf16, which the interface does not know")
-    # 1 is the default stream, as `let_stream_wait` has made it.
+    # Stream 1 is the default stream, which is made to wait for the work on the field.
     get_program().context.let_stream_wait(1)
     shape = (*field.shape, *field.element_shape)
     found = {
@@ -110,7 +110,7 @@ def place_of(field: Any) -> tuple[int, tuple[int, ...]]:
 
 
 def owner_of(field: Any) -> Any:
-    """An object that keeps the memory of a field."""
+    """Returns an object that keeps the memory of a field alive."""
     return _storage(field).core.lend()[3]
 
 
@@ -158,7 +158,7 @@ def to_torch(field: Any, device: Any) -> Any:
     copy = torch.empty_like(shared, memory_format=torch.contiguous_format)
     pieces.copy(copy, shared)
     if where.type == "cuda":
-        # The next launch may change the field.
+        # The next launch may change the field, so it waits for the stream of torch.
         wait_for_stream(torch.cuda.current_stream())
     return copy
 
@@ -173,7 +173,7 @@ def from_torch(field: Any, tensor: Any) -> None:
     if tuple(tensor.shape) == wanted and state.tape is None and not state.forward:
         shared = _shares_with(field, tensor.device)
     if shared is None:
-        # NumPy has no bf16; f32 holds its numbers.
+        # NumPy has no type bf16; f32 holds its numbers exactly.
         is_short = tensor.dtype == torch.bfloat16
         return field.from_numpy((tensor.float() if is_short else tensor).cpu().numpy())
     pieces.copy(shared, tensor)

@@ -20,11 +20,11 @@ def _torch() -> Any:
 
 
 def _torch_stream(device: int) -> int:
-    """The address of torch's current stream."""
+    """Returns the address of torch's current stream."""
     torch = _torch()
     if torch is None:
         return 0
-    # Without an object for the stream, if this torch has such a function.
+    # This function of torch, if it exists, needs no Python object for the stream.
     raw = getattr(torch._C, "_cuda_getCurrentRawStream", None)
     return torch.cuda.current_stream(device).cuda_stream if raw is None else raw(device)
 

@@ -11,12 +11,12 @@ from typing import Any
 
 from ..fields.structs import StructType
 
-# The class that stands around a method which IPython compiles alone.
+# The name of the class that IPython puts around a method which it compiles alone.
 CLASS_OF_A_METHOD = "__autoreload_class__"
 
 
 def follow() -> None:
-    """Adds our rules to those of IPython, if it reloads modules."""
+    """Adds rules for kernels to those of IPython, if it reloads modules."""
     rules = getattr(sys.modules.get("IPython.extensions.autoreload"), "UPDATE_RULES", None)
     if rules is not None and _RULE not in rules:
         rules.append(_RULE)
@@ -24,7 +24,8 @@ def follow() -> None:
 
 def _can_adopt(old: Any, new: Any) -> bool:
     if isinstance(old, StructType) and isinstance(new, StructType):
-        # Fields with other members keep their type.
+        # A struct type is taken over only if it has the same members; else fields keep the old
+        # type.
         return repr(old) == repr(new)
     return type(old) is type(new) and getattr(old, "_tai_kernel", False) and hasattr(old, "adopt")
 

@@ -24,7 +24,7 @@ from .signature import (
 
 
 class TupleType:
-    """The types of several results of a function."""
+    """The type of the results of a function that returns several values."""
 
     def __init__(self, types: list[Any]):
         self.types = types
@@ -43,20 +43,22 @@ class FunctionInfo:
     def __init__(self, function: Callable[..., Any]):
         self.function, self.name = function, function.__name__
         texts.note(function)
-        # The specialisations that it is compiled into.
+        # The specialisations of kernels into which the function is compiled.
         self.users: weakref.WeakSet = weakref.WeakSet()
         self.names = names_of(function)
         self._kinds: dict[str, Any] | None = None
         self._defaults = defaults_of(function)
 
     def of_receiver(self) -> FunctionInfo:
-        """The same for a method whose first argument is the struct itself, which it may change."""
+        """Describes the function as a method whose first argument is its struct, which it may
+        change.
+        """
         made = copy.copy(self)
         made._kinds = {**self.kinds, self.names[0]: "template"}
         return made
 
     def drop_users(self) -> None:
-        """Lets the kernels that it was compiled into be compiled again."""
+        """Makes the kernels that contain the function be compiled again."""
         for user in list(self.users):
             user.drop()
 
@@ -97,7 +99,7 @@ class FunctionInfo:
         return parse_type(annotation, self.function, "the result")
 
     def bind(self, args: list, kwargs: dict) -> dict[str, Any]:
-        """The value of each parameter."""
+        """Returns the value of each parameter of a call."""
         if len(args) > len(self.names):
             raise TaiTypeError(
                 f"function '{self.name}' takes {len(self.names)} arguments, but got {len(args)}"
@@ -142,7 +144,8 @@ def _make_function(function: Callable[..., Any], in_python: bool) -> Callable[..
         if state.emitter is not None:
             return state.emitter.call(wrapper, args, kwargs)
         if in_python:
-            # Not that of the closure: a reloaded module may have put another one here.
+            # The function is not taken from the closure: a reloaded module may have put another one
+            # there.
             return wrapper._tai_func.function(*args, **kwargs)  # type: ignore[attr-defined]
         raise TaiSyntaxError(
             f"function '{function.__name__}' can be called in kernels only",
@@ -155,7 +158,7 @@ def _make_function(function: Callable[..., Any], in_python: bool) -> Callable[..
     return wrapper
 
 
-# The function that each module defined last under each qualified name.
+# For each module and qualified name, the function that was defined last.
 _last: dict[tuple[int, str], weakref.ref[FunctionInfo]] = {}
 
 

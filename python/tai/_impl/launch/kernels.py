@@ -30,7 +30,7 @@ native.set_ndarray_type(Ndarray)
 
 
 class Kernel(native.Launcher):
-    """A function that is compiled and runs over fields.
+    """A function that is compiled, and that runs over fields and arrays.
 
     Calling it runs it; the first call with new kinds of arguments compiles it. `grad` runs
     the kernel that accumulates its gradient.
@@ -46,7 +46,7 @@ class Kernel(native.Launcher):
         self._take(function, is_method, modes or {})
         self._program: Any = None
         self._signature: Signature | None = None
-        # The `ti.batch` whose worlds it runs for.
+        # The `ti.batch` for whose worlds the kernel runs, or None.
         self.batch: Any = None
         self._specializations = Specializations(self, function, self._modes)
         # The serial number of the kernel in this process.
@@ -78,7 +78,7 @@ class Kernel(native.Launcher):
         return [*super().__dir__(), "grad"]  # A class of C++ lists no attributes of its objects.
 
     def _repr_html_(self) -> str:
-        """The kernel in a notebook, with its source and its IR."""
+        """Shows the kernel in a notebook, with its source and its IR."""
         last = self._specializations.last if self._program is state.program else None
         return notebook.kernel_html(self, self._function, last, len(self._specializations))
 
@@ -88,7 +88,7 @@ class Kernel(native.Launcher):
         try:
             return self._launch(self, args, kwargs, False)
         except TaiError as error:
-            # The compiler's own traceback says nothing about the program.
+            # The traceback of the compiler itself says nothing about the program.
             raise error if SHOW_TRACEBACK else error.with_traceback(None)  # noqa: B904
 
     def _launch(self, launcher: Any, args: tuple, kwargs: dict, grad: bool) -> Any:
@@ -142,7 +142,7 @@ class Kernel(native.Launcher):
         return None if self._signature is None else self._signature.result
 
     def _specialize(self, values: list[Any], tracks: bool = False) -> Specialization:
-        """The compiled kernel for these arguments; see `Specializations.get`."""
+        """Returns the compiled kernel for these arguments; see `Specializations.get`."""
         program = get_program()
         if self._program is not program:
             # Before anything is compiled for it, which the program must make the kernel forget.
@@ -159,22 +159,22 @@ class Kernel(native.Launcher):
         self._specializations = Specializations(self, self._function, self._modes)
 
     def forget_launches(self) -> None:
-        """The next launch asks anew which code it needs."""
+        """Makes the next launch look up anew which compiled code it needs."""
         self._specializations.forget_launches()
 
     def forget_types(self) -> None:
-        """The next launch asks anew which types `float` stands for."""
+        """Makes the next launch look up anew which types `float` stands for."""
         self._signature = None
 
     def release(self) -> None:
-        """The program is over: forgets the code compiled for it."""
+        """Forgets the compiled code of the kernel, when the program is over."""
         self._program = None
         self._specializations.clear()
 
     # What was compiled
 
     def mlir(self, *args: Any, stage: str = "tai") -> str:
-        """The IR of the kernel.
+        """Returns the IR of the kernel as text.
 
         Args:
             args: arguments, to choose a specialisation; the last one used if left out.
@@ -221,7 +221,7 @@ class Kernel(native.Launcher):
 
 
 class GradientKernel(native.Launcher):
-    """Runs the kernel that accumulates the gradient: `kernel.grad(…)`."""
+    """The object `kernel.grad`, whose call runs the kernel that accumulates the gradient."""
 
     def __init__(self, kernel: Kernel):
         self._kernel = kernel

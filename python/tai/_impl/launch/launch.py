@@ -22,7 +22,7 @@ from .struct_results import StructResult
 def pack(
     signature: Signature, found: Specialization, values: list[Any], tracks: bool
 ) -> tuple[list[int], list[HeldArray]]:
-    """Slots of the arguments, and all arrays."""
+    """Packs the arguments of a launch into slots; returns also all arrays."""
     slots: list[int] = []
     kept: list[HeldArray] = []
     pairs = zip(signature.parameters, found.specs, values, strict=True)
@@ -80,7 +80,7 @@ def launch(
     launcher: Any, signature: Signature, found: Specialization, values: list[Any], grad: bool,
     tracks: bool,
 ) -> Any:  # fmt: skip
-    """Runs a specialisation.
+    """Launches a specialisation of a kernel.
 
     Args:
         launcher: the kernel, or its gradient; it caches specialisations that it can launch by

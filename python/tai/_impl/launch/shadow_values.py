@@ -44,7 +44,7 @@ def shadow_values(field: Any) -> np.ndarray:
     element = wide.shape[len(field.shape) :]
     for part in np.ndindex(element):
         own = field.get_scalar_field(*part) if element else field
-        # A kernel carries the shadows of floats that it copies.
+        # A copy by a kernel also copies the shadow values of the floats.
         copied = np.zeros(field.shape, plain.dtype)
         _copier()(own, copied)
         errors = np.zeros(field.shape)

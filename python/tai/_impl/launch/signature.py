@@ -24,7 +24,7 @@ from .struct_results import ResultType, StructResult, TupleResult
 
 
 class Parameter:
-    """A parameter of a kernel, as it is annotated."""
+    """A parameter of a kernel, described by its annotation."""
 
     __slots__ = ("default", "has_default", "name", "type")
 
@@ -34,7 +34,7 @@ class Parameter:
 
 
 def names_of(function: Callable[..., Any]) -> list[str]:
-    """The names of the parameters."""
+    """Returns the names of the parameters of a function."""
     code = function.__code__
     return list(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
 
@@ -89,7 +89,7 @@ def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
 
 
 def resolve(annotation: Any, function: Callable[..., Any]) -> Any:
-    """An annotation as an object; `from __future__ import annotations` leaves text."""
+    """Returns an annotation as an object; `from __future__ import annotations` leaves text."""
     if not isinstance(annotation, str):
         return annotation
     try:
@@ -115,7 +115,7 @@ def _is_template(annotation: Any) -> bool:
 
 
 def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
-    """The type that an annotation of a parameter or result names."""
+    """Returns the type that an annotation of a parameter or result names."""
     annotation = resolve(annotation, function)
     if _is_template(annotation):
         return template()
@@ -125,7 +125,7 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
         return annotation
     found = dtypes.to_dtype(annotation)
     if found is not None:
-        # `float` is another type in a kernel that names its precision.
+        # In a kernel that names its precision, `float` is the type of that precision.
         return ScalarType(annotation if state.fp is None else found)
     shown = annotation.__name__ if isinstance(annotation, type) else repr(annotation)
     if _is_anything(annotation):
@@ -157,7 +157,7 @@ def tuple_types(annotation: Any) -> tuple:
 def _parse(
     function: Callable[..., Any], is_method: bool
 ) -> tuple[list[Parameter], ResultType | None]:
-    """The parameters of a kernel and the type of its result."""
+    """Parses the parameters of a kernel and the type of its result."""
     defaults = defaults_of(function)
     parameters = []
     for number, name in enumerate(names_of(function)):
@@ -200,7 +200,7 @@ def _members(parameter: Parameter) -> list[Parameter]:
 
 
 def _member_values(kernel: str, name: str, type_: Any, value: Any) -> list[Any]:
-    """An argument in the order of `_members`."""
+    """Returns the values of a struct argument in the order of `_members`."""
     if not isinstance(type_, StructType):
         return [value]
     if isinstance(type_, TripletsType):
@@ -238,7 +238,7 @@ class Signature:
 
     @property
     def is_known(self) -> bool:
-        """Whether the same code serves all arguments."""
+        """Whether the same compiled code serves all arguments."""
         return all(isinstance(p.type, (ScalarType, MatrixType)) for p in self.parameters)
 
     def bind(self, args: tuple, kwargs: dict) -> list[Any]:

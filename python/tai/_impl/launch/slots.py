@@ -24,7 +24,7 @@ def _hint(parameter: str, dt: Any, value: Any) -> str:
 
 
 def number_slot(kernel: str, parameter: str, dt: Any, value: Any) -> int:
-    """A number in the bits of its slot."""
+    """Returns the bits of the argument slot that holds a number."""
     good = isinstance(value, (bool, int, float, np.generic)) or (
         not isinstance(value, bytes) and is_number(value) and getattr(value, "ndim", 0) == 0
     )

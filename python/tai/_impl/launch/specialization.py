@@ -20,7 +20,7 @@ from .specs import ArgumentSpec, ResultSpec, spec_of
 
 
 class Specialization:
-    """A kernel compiled for some kinds of arguments.
+    """A kernel compiled for certain kinds of arguments.
 
     Attributes:
         has_gradients: whether something that it uses has a gradient.
@@ -37,12 +37,12 @@ class Specialization:
         self.has_gradients = True
         self.fields: weakref.WeakSet = weakref.WeakSet()
         self.stored: weakref.WeakSet = weakref.WeakSet()
-        # The `FunctionInfo` of each `ti.func` that is compiled into it.
+        # The `FunctionInfo` of each `ti.func` that is compiled into this specialisation.
         self.functions: list[Any] = []
         self.accumulated: weakref.WeakSet = weakref.WeakSet()
-        # Whether the launcher in C++ knows it, for `grad` false and true.
+        # The values of `grad` for which the launcher in C++ knows this specialisation.
         self.registered: set[bool] = set()
-        # Directions that were compiled under their names; see `base.compiling`.
+        # The directions whose compilation was announced by name; see `base.compiling`.
         self.announced: set[bool] = set()
         self.result = () if result is None else result.description()
         self.result_spec = result
@@ -56,18 +56,22 @@ class Specialization:
         self.tracking = 2 if result is not None and result.has_gradient else int(arrays)
 
     def fits(self, specs: list[ArgumentSpec]) -> bool:
-        """Whether its code is that of these template arguments, as they are now."""
+        """Whether the code was compiled for these template arguments with their present
+        attributes.
+        """
         return self.is_for(specs) and templates.still_hold(self.reads)
 
     def is_for(self, specs: list[ArgumentSpec]) -> bool:
-        """Whether it was compiled for these template arguments, whatever it read of them."""
+        """Whether the code was compiled for these template arguments, whatever it read of them."""
         pairs = zip(self.specs, specs, strict=True)
         return all(
             own.taken.matches(given.constant) for own, given in pairs if own.taken is not None
         )
 
     def uses_of(self, spec: ArgumentSpec) -> tuple[bool, bool]:
-        """Whether the array is read and written, by any of the parameters that it is given for."""
+        """Whether the array is read, and whether it is written, by any parameter for which it is
+        passed.
+        """
         number = self.specs.index(spec)
         same = [other for other in self.specs if other is spec or other.alias == number]
         return any(s.is_read for s in same), any(s.is_written for s in same)
@@ -101,7 +105,7 @@ class Specializations:
     def get(
         self, program: Any, signature: Signature, values: list[Any], tracks: bool = False
     ) -> Specialization:
-        """The one for these arguments, compiled if there is none yet.
+        """Returns the specialisation for these arguments, compiled if there is none yet.
 
         Args:
             program: for which it is compiled.
@@ -143,7 +147,8 @@ class Specializations:
                 program, signature, specs, list(zip(followed, inputs, strict=True)), pool,
                 self.find_constants(values),
             )  # fmt: skip
-            # First the function that drops it: Ctrl-C may come in between.
+            # The functions that drop the specialisation are noted first, since Ctrl-C may come in
+            # between.
             self._note_users(program, found, tuple(key))
             variants.append(found)
             if found.reads:
@@ -173,7 +178,7 @@ class Specializations:
             function.users.add(found)
         for spec in found.specs:
             if spec.kind == "template" and templates.is_weak(spec.constant):
-                # The code goes with the object for which it was compiled.
+                # The code is dropped with the object for which it was compiled.
                 spec.alive = weakref.ref(spec.constant, drop)
         for tree in found.core.trees:
             program.trees[tree].users.add(found)
@@ -195,7 +200,7 @@ class Specializations:
         return [] if kernel is None else [kernel, kernel.grad]
 
     def forget_launches(self) -> None:
-        """Lets no launch find its code without `get`."""
+        """Makes each launch ask `get` for its code again."""
         for variants in self._variants.values():
             for one in variants:
                 one.registered.clear()

@@ -22,7 +22,7 @@ _SLOT_KINDS = {"f32": ("f",), "f64": ("d",), "u1": ("b",)}
 
 
 class ArgumentSpec:
-    """One parameter of a kernel in one specialisation.
+    """Describes one parameter of a kernel in one specialisation.
 
     Attributes:
         kind: `scalar`, `matrix`, `array` or `template`.
@@ -62,7 +62,7 @@ class ArgumentSpec:
 
     @property
     def mlir_types(self) -> list[str]:
-        """Types of the arguments in IR that stand for this one."""
+        """Returns the types of the IR arguments that stand for this parameter."""
         if not self.has_slot:
             return []
         return [self.mlir_type] * (2 if self.kind == "array" and self.has_gradient else 1)
@@ -103,7 +103,7 @@ class ArgumentSpec:
 
 
 class ResultSpec:
-    """The type of the result of a kernel."""
+    """Describes the type of the result of a kernel."""
 
     def __init__(self, type_: ResultType):
         self.type = type_
@@ -131,7 +131,7 @@ class ResultSpec:
 
 
 def spec_of(kernel: str, parameter: Parameter, value: Any, tracks: bool = False) -> ArgumentSpec:
-    """The specification of a parameter of a kernel for a value.
+    """Returns the specification of a parameter of a kernel for a value.
 
     Args:
         tracks: whether the launch is recorded, or runs a gradient.
@@ -159,7 +159,7 @@ def spec_of(kernel: str, parameter: Parameter, value: Any, tracks: bool = False)
 
 
 def _converted(value: Any, dt: Any) -> str:
-    """The expression that gives an array another type."""
+    """Returns the Python expression that gives an array another type."""
     if hasattr(value, "detach"):  # a torch tensor
         return f"t.to(torch.{dt.numpy})"
     return f"array.astype(np.{dt.numpy})"
@@ -218,7 +218,7 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> 
         "array", dt, ndim=ndim, element_shape=element_shape, has_gradient=has_gradient
     )
     spec.is_element_fixed = bool(type_.element_dim)
-    # Where the annotation wants a gradient, some arrays may still come without one.
+    # An array may come without the gradient that the annotation asks for, which launches check.
     spec.is_checked = bool(type_.needs_grad) and not has_gradient
     # The launcher tells arrays by their gradients, and would take this one for another kind.
     spec.is_checked = spec.is_checked or type_.needs_grad is False

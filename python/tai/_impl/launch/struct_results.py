@@ -45,7 +45,7 @@ class StructResult:
         self.shape = (sum(int(np.prod(leaf.shape, dtype=int)) for leaf in self.leaves),)
 
     def convert(self, emitter: Any, value: Any) -> Any:
-        """A struct of a kernel as a vector."""
+        """Converts the struct that a kernel returns to a vector."""
         found = self._parts(emitter, self.type, value)
         parts = [
             emitter.bit_cast(part, self.dtype)
@@ -56,11 +56,13 @@ class StructResult:
         return emitter.matrix(parts, self.dtype, self.shape)
 
     def _is_by_bits(self, kind: DataType) -> bool:
-        """Whether numbers of this type keep their bits and not their value."""
+        """Whether numbers of this type are passed by their bits, because the vector's type cannot
+        hold them.
+        """
         return not kind.is_float and kind.bits == 64 and self.dtype is not kind
 
     def _number(self, kind: DataType, number: Any) -> Any:
-        """A number of the vector in the type of its member."""
+        """Converts a number of the vector to the type of its member."""
         if kind.is_float:
             return number
         if self._is_by_bits(kind):
@@ -84,7 +86,7 @@ class StructResult:
         return found
 
     def unpack(self, vector: Any, is_followed: bool) -> Struct:
-        """Makes the struct of Python from its numbers.
+        """Makes the Python struct from the numbers of the vector.
 
         Args:
             vector: of its numbers, with a gradient or tangent under a tape or in forward mode.
@@ -132,5 +134,5 @@ class TupleResult(StructResult):
         return tuple(value for _, value in super().unpack(vector, is_followed).items)
 
 
-# Types that a kernel may return.
+# The types that a kernel may return.
 ResultType = ScalarType | MatrixType | StructResult

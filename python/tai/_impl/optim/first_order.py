@@ -19,14 +19,14 @@ _LARGEST = {"f64": sys.float_info.max, "f32": 3.4028234663852886e38, "bf16": 3.3
 
 
 class Optimizer:
-    """A method that changes parameters after their gradient is known.
+    """Base of methods that change parameters after their gradient is known.
 
     Attributes:
         lr: the learning rate; may be changed between steps.
         nonfinite: `raise` or `skip`.
     """
 
-    # The names of its memory for each parameter.
+    # The names of the values that the method keeps for each element of a parameter.
     _memories: tuple[str, ...] = ()
 
     def __init__(self, parameters: Any, lr: float, nonfinite: str):
@@ -64,7 +64,7 @@ class Optimizer:
 
     @property
     def parameters(self) -> list[Any]:
-        """The fields and arrays that it changes."""
+        """The fields and arrays that the method changes."""
         return [p.value for p in self._parameters]
 
     @property
@@ -172,7 +172,7 @@ class Optimizer:
 
 
 def check_kind(optimizer: Any, state: Any) -> None:
-    """Refuses a state that another kind of optimiser has made."""
+    """Refuses a state that another kind of optimiser has saved."""
     kind = type(optimizer).__name__
     if not isinstance(state, dict) or state.get("kind") != kind:
         got = state.get("kind") if isinstance(state, dict) else type(state).__name__
@@ -241,7 +241,7 @@ class SGD(Optimizer):
             limit = _LARGEST[p.value.dtype.name]
             rest = (self._counts, self.momentum, self.lr, self.nesterov, bool(memory), limit)
             if p.is_array:
-                # Without momentum the kernel does not touch its memory.
+                # Without momentum, the kernel does not access the memory of momentum.
                 mean = memory["mean"].array.reshape(-1) if memory else p.flat("grad")
                 k.of_arrays.sgd(p.flat(), p.flat("grad"), mean, *rest)
             else:

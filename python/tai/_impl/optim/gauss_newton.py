@@ -17,7 +17,7 @@ from .parameters import Flat, check_number, check_outside, check_parameters
 
 
 class GaussNewton:
-    """Minimises half the sum of squares of residuals.
+    """Minimises half the sum of squares of residuals, by the Gauss-Newton method.
 
     ```python
     x = ti.field(ti.f64, shape=3, needs_grad=True, needs_dual=True)
@@ -66,7 +66,7 @@ class GaussNewton:
 
     @property
     def parameters(self) -> list[Any]:
-        """The fields that it changes."""
+        """The fields that the method changes."""
         return [p.value for p in self._parameters]
 
     def step(self, function: Any) -> Result:
@@ -200,7 +200,7 @@ class GaussNewton:
             self._image.gather(target, "dual")
 
     def _solve(self, tape: Tape, damping: float) -> None:
-        """The step p, by conjugate gradients of least squares."""
+        """Computes the step p, by conjugate gradients for least squares."""
         k, v = get_kernels(), get_vectors()
         k.combine(self._p, self._g, 0.0, self._g, 0.0)
         k.combine(self._left, self._r, -1.0, self._r, 0.0)
@@ -230,10 +230,10 @@ class GaussNewton:
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """Its damping: numbers, which can be pickled."""
+        """Returns the damping of the method as numbers, which can be pickled."""
         return {"kind": "GaussNewton", "lambda": self._lambda, "growth": self._growth}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from the state of another one."""
+        """Continues from a state that another minimisation has returned."""
         check_kind(self, state)
         self._lambda, self._growth = state["lambda"], state["growth"]

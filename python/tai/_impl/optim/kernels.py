@@ -4,7 +4,7 @@ Steps look at all gradients first: if one is NaN or infinite, nothing changes. T
 a number on the device, so no step waits for the host.
 """
 
-# Annotations are evaluated, since those of `make_steps` are its arguments.
+# Annotations are evaluated in this file, because they are arguments of `make_steps`.
 
 import functools
 from typing import Any
@@ -14,7 +14,7 @@ from ..launch.kernels import func, kernel
 from ..values.ops import abs, grouped, max, sqrt, static
 from ..values.types import ndarray, template
 
-# The elements of the counts of an optimiser.
+# The positions in the array of counts of an optimiser.
 FOUND, SEEN, IS_BAD, STEPS, SKIPPED, KEPT = range(6)
 COUNTS = 6
 
@@ -23,7 +23,7 @@ COUNTS = 6
 def get_kernels() -> Any:
     @func
     def is_finite(value, largest):
-        # Comparisons with NaN are false, also under fast_math.
+        # Comparisons with NaN are false, so NaN counts as not finite, also under fast_math.
         result = True
         if static(hasattr(value, "n")):
             for c in static(range(value.n)):
@@ -89,7 +89,7 @@ def get_kernels() -> Any:
         return result
 
     def make_steps(data):
-        """Kernels on parameters: on fields for `template`, on arrays for `ndarray`."""
+        """Makes kernels on parameters: on fields for `template`, on arrays for `ndarray`."""
 
         class Steps:
             @staticmethod
@@ -134,7 +134,7 @@ def get_kernels() -> Any:
         @staticmethod
         @kernel
         def advance(counts: template(), factors: template(), beta1: f64, beta2: f64):
-            # Bias corrections of the step that follows.
+            # Computes the bias corrections of the step that follows.
             if counts[FOUND] != counts[SEEN]:
                 counts[SEEN] = counts[FOUND]
                 counts[IS_BAD] = 1

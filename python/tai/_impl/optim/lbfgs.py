@@ -58,11 +58,11 @@ class LBFGS:
 
     @property
     def parameters(self) -> list[Any]:
-        """The fields and arrays that it changes."""
+        """The fields and arrays that the method changes."""
         return [p.value for p in self._parameters]
 
     def step(self, function: Any) -> Result:
-        """One iteration: a direction, and a search along it.
+        """Does one iteration: computes a direction, and searches along it.
 
         Args:
             function: a tape with a loss, or a function that runs one and returns the loss.
@@ -160,7 +160,7 @@ class LBFGS:
         return v.dot(self._d, self._g)
 
     def _try(self, objective: Objective, step: float) -> Trial:
-        """Moves the parameters to a step along the direction."""
+        """Moves the parameters to a point along the direction, and evaluates the loss there."""
         k, v = get_kernels(), get_vectors()
         k.combine(self._next_x, self._x, 1.0, self._d, step)
         self._flat.scatter(self._next_x, "value")

@@ -11,7 +11,7 @@ _MOST = 30
 
 
 class Trial(NamedTuple):
-    """A step along the direction, the loss there, and its slope."""
+    """A tried step along the direction, with the loss and the slope there."""
 
     step: float
     loss: float
@@ -42,7 +42,7 @@ def _between(low: Trial, high: Trial) -> float:
 
 
 def search(evaluate: Callable[[float], Trial], start: Trial, step: float, noise: float) -> Trial:
-    """The step that is taken.
+    """Returns the step that the search has chosen.
 
     Args:
         evaluate: moves to a step along the direction.
@@ -63,7 +63,7 @@ def search(evaluate: Callable[[float], Trial], start: Trial, step: float, noise:
             return False
         if is_enough(t) and abs(t.slope) <= -CURVATURE * start.slope:
             return True
-        # Where rounding hides the decrease, the slopes tell (Hager and Zhang).
+        # If rounding hides the decrease of the loss, the slopes decide (Hager and Zhang).
         upper = (2 * DECREASE - 1) * start.slope
         return t.loss <= allowed and CURVATURE * start.slope <= t.slope <= upper
 

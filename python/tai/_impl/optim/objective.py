@@ -13,7 +13,7 @@ from .parameters import Parameter
 
 
 class Result(NamedTuple):
-    """The end of a minimisation.
+    """The result of a minimisation.
 
     Attributes:
         loss: at the parameters that are left.
@@ -31,12 +31,12 @@ class Result(NamedTuple):
 
     @property
     def converged(self) -> bool:
-        """Whether a tolerance was reached."""
+        """Whether a tolerance was reached, and not another limit."""
         return self.reason in ("gradient", "loss")
 
 
 class Objective:
-    """Computes the loss and its gradient at the present parameters.
+    """Computes the loss and its gradient at the present values of the parameters.
 
     Args:
         function: a tape with a loss, or a function that runs one and returns the loss.
@@ -72,7 +72,7 @@ class Objective:
             )
 
     def evaluate(self) -> float:
-        """Runs the kernels and their gradients.
+        """Computes the loss and the gradient by running the kernels and their adjoints.
 
         Raises:
             TaiRuntimeTypeError: the loss is not one number.
@@ -114,7 +114,7 @@ class Objective:
 
 
 def refuse_start(user: str, loss: float, first: str) -> None:
-    """Says that nothing can be minimised from here.
+    """Raises an error because no minimisation can begin at this loss.
 
     Raises:
         TaiAutodiffError: always.

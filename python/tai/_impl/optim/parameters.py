@@ -19,12 +19,12 @@ from .kernels import get_kernels
 
 
 def offset_of(field: Any) -> tuple[int, ...]:
-    """The first index of a field along each dimension."""
+    """Returns the first index of a field along each dimension."""
     return tuple(getattr(field, "offset", ()) or (0,) * len(field.shape))
 
 
 class Parameter:
-    """A field or a `ti.ndarray` with a gradient.
+    """A field or a `ti.ndarray` with a gradient, as a parameter of an optimiser.
 
     Attributes:
         value: the field or array.
@@ -106,7 +106,7 @@ class Parameter:
         return made
 
     def require_dense(self, user: str) -> None:
-        """Refuses sparse layouts.
+        """Raises an error if the layout of the parameter is sparse.
 
         Raises:
             TaiRuntimeError: the parameter has inactive elements.
@@ -123,7 +123,7 @@ class Parameter:
         return array.array.reshape(-1)
 
     def field(self, which: str = "value") -> Any:
-        """A field, its gradient, or its dual."""
+        """Returns the field of the parameter, of its gradient, or of its dual."""
         return self.value if which == "value" else getattr(self.value, which)
 
     def first_not_finite(self) -> str:
@@ -140,7 +140,7 @@ class Parameter:
 
 
 def check_parameters(given: Any, user: str) -> list[Parameter]:
-    """The parameters of an optimiser.
+    """Checks and returns the parameters of an optimiser.
 
     Raises:
         TaiRuntimeTypeError: none, one twice, or something that is no field or array.
@@ -155,7 +155,7 @@ def check_parameters(given: Any, user: str) -> list[Parameter]:
 
 
 def check_outside(user: str) -> None:
-    """Refuses to work where launches are differentiated.
+    """Raises an error if launches are being differentiated, where optimisers must not work.
 
     Raises:
         TaiAutodiffError: a tape records, or forward mode is on.
@@ -169,7 +169,7 @@ def check_outside(user: str) -> None:
 
 
 def check_number(user: str, name: str, value: Any, least: float, below: float = math.inf) -> float:
-    """A number of an optimiser, least <= value < below.
+    """Checks and returns a number of an optimiser: least <= value < below.
 
     Raises:
         TaiRuntimeTypeError: it is no such number.
@@ -187,7 +187,7 @@ def check_number(user: str, name: str, value: Any, least: float, below: float = 
 
 
 class Flat:
-    """The numbers of several parameters as one vector on the device.
+    """The numbers of several parameters as one vector in device memory.
 
     Attributes:
         size: of the vector.
@@ -206,14 +206,14 @@ class Flat:
             start += p.size
 
     def vector(self, what: str, rows: int | None = None) -> Any:
-        """A field for such a vector, or for `rows` of them."""
+        """Makes a field for such a vector, or for `rows` of them."""
         shape = (self.size,) if rows is None else (rows, self.size)
         made: Any = make_field((), self.dtype, shape, None, f"optim_{what}", None, False, False)
         made.materialize()
         return made
 
     def gather(self, vector: Any, which: str) -> None:
-        """vector = the values, gradients or duals of the parameters."""
+        """Copies the values, gradients or duals of the parameters to the vector."""
         k = get_kernels()
         for p, start in zip(self.parameters, self.starts, strict=True):
             if p.is_array:
@@ -222,7 +222,7 @@ class Flat:
                 k.gather(vector, start, p.field(which), p.offset, p.inner)
 
     def scatter(self, vector: Any, which: str) -> None:
-        """The values, gradients or duals of the parameters = vector."""
+        """Copies the vector to the values, gradients or duals of the parameters."""
         k = get_kernels()
         for p, start in zip(self.parameters, self.starts, strict=True):
             if p.is_array:

@@ -95,7 +95,7 @@ class AssembledMatrix:
     def from_scipy(
         cls, matrix: Any, dtype: Any = None, *, needs_grad: bool = False, needs_dual: bool = False
     ) -> AssembledMatrix:
-        """The matrix of an array of `scipy.sparse`, or of a `ti.linalg.SparseMatrix`."""
+        """Makes a matrix from an array of `scipy.sparse`, or from a `ti.linalg.SparseMatrix`."""
         to_scipy = getattr(matrix, "to_scipy", None)
         a = to_scipy() if to_scipy is not None else matrix
         kind = dtype or (dtypes.f32 if a.dtype == np.float32 else dtypes.f64)
@@ -120,7 +120,7 @@ class AssembledMatrix:
     def to_scipy(self) -> Any:
         """The matrix with the entries that it has now, as an array of `scipy.sparse` in CSR."""
         sparse, _ = get_scipy()
-        # NumPy's form of 1×1 matrices has fewer axes.
+        # NumPy's form of 1×1 matrices has fewer axes, so the array is reshaped.
         values = self.values.to_numpy().reshape(len(self.rows), *self.values.element_shape)
         if self.block is None:
             return sparse.coo_array((values, (self.rows, self.columns)), self.shape).tocsr()
@@ -132,7 +132,7 @@ class AssembledMatrix:
         return sparse.coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr()
 
     def diagonal(self) -> np.ndarray:
-        """The diagonal as it is now: numbers, or blocks."""
+        """Returns the diagonal of the matrix as it is now: numbers, or blocks."""
         count = min(self.shape)
         found = np.zeros((count, *self.values.element_shape), self.dtype.numpy)
         on = self.rows == self.columns

@@ -20,7 +20,7 @@ from .system import Progress
 
 # A pivot below this many roundings for each row, of the greatest one, counts as zero.
 _SINGULAR = 4 * 2.0**-52
-# The most steps of iterative refinement.
+# The most steps of iterative refinement of a solution.
 _REFINEMENTS = 3
 
 
@@ -60,7 +60,7 @@ def solve(A: Any, b: Any, x: Any) -> SolveInfo:
         return run(b, field, False)
 
     def solve_adjoint(g: Any, adjoint: Any) -> Adjoint:
-        # Entries may have changed since, and are restored by now.
+        # The entries of the matrix may have changed since, so the factors are dropped.
         factors.forget()
         return Adjoint(run(g, adjoint, True))
 
@@ -72,7 +72,7 @@ def solve(A: Any, b: Any, x: Any) -> SolveInfo:
 
 
 class _Factors:
-    """The factors of a matrix, made when they are first needed."""
+    """The factors of a matrix, which are computed when they are first needed."""
 
     def __init__(self) -> None:
         self.forget()
@@ -114,7 +114,7 @@ class _Factors:
             found = (x * scale).astype(right.dtype).reshape(right.shape)
         if not np.isfinite(found).all():
             return nothing, Progress(1, 1.0, "overflow", 1.0, _norm(a))
-        # The residual belongs to the solution as it is stored.
+        # The residual is computed for the solution as it is stored, rounded to its type.
         rest = b - product @ (found.ravel().astype(np.float64) / scale)
         norm, size = _norm(a), np.linalg.norm(x)
         residual = float(np.linalg.norm(rest) / np.linalg.norm(b))

@@ -140,7 +140,7 @@ class Factors:
         )
 
     def solve(self, r: Any, z: Any) -> None:
-        """z = (L Lᵀ)⁻¹ r for fields of numbers."""
+        """Computes z = (L Lᵀ)⁻¹ r for fields of numbers."""
         low = (getattr(r, "offset", ()) or (0,))[0]
         _kernels().solve(
             self._starts, self._columns, self._factor, r, z, self._between, self.size, int(low)

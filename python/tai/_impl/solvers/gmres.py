@@ -66,7 +66,7 @@ def _cycle(system: System, residual: float, size: int, basis: Any) -> tuple[int,
             system.note_norm(before)
         column = [0.0] * (j + 2)
         after = before
-        # Twice where much cancels: the basis stays orthogonal.
+        # The vector is orthogonalised twice where much cancels, so that the basis stays orthogonal.
         for _ in range(2):
             start = after
             for i in range(j + 1):
@@ -83,7 +83,7 @@ def _cycle(system: System, residual: float, size: int, basis: Any) -> tuple[int,
             column[i], column[i + 1] = cosine * a + sine * b, cosine * b - sine * a
         length = math.hypot(column[j], column[j + 1])
         if length <= 10 * epsilon * before:
-            # A maps the space into a smaller one.
+            # The operator maps the space into a smaller one, so the method cannot go on.
             reason = "breakdown"
             break
         cosine, sine = column[j] / length, column[j + 1] / length

@@ -89,13 +89,13 @@ def implicit(
 
 
 def _one_minus(operator: Operator, v: Any, result: Any) -> None:
-    """result = v - (∂f/∂x)ᵀ v"""
+    """Computes result = v - (∂f/∂x)ᵀ v."""
     recorded.pull(operator, v, result)
     get_kernels().subtract(result, v, result, 1.0)
 
 
 def _add_residual(system: System) -> None:
-    """λ = (∂f/∂x)ᵀ λ + g"""
+    """Computes λ = (∂f/∂x)ᵀ λ + g."""
     system.kernels.add(system.x, system.r, 1.0)
 
 
@@ -165,7 +165,8 @@ def newton(
             if not inner.reason:
                 change, size = norm_of(step), norm_of(point)
                 if change <= caller.tolerance * size:
-                    # As near as F can tell: so is a start that is a solution already.
+                    # The solution is as accurate as F can tell, as is a start that is a solution
+                    # already.
                     measure = change / size
                     break
             length = 1.0

@@ -12,7 +12,8 @@ from .system import BEGIN_AGAIN, Method, Progress, System
 # The growth of the residual from its start after which a method begins again from the best point.
 # Rounding errors of the residual grow along with it.
 _GROWTH = {"f32": 1e3, "f64": 1e6}
-# That of conjugate gradients, whose residual may grow by the root of the condition number.
+# The growth after which conjugate gradients begin again: the residual may grow by the root of the
+# condition number.
 _GROWTH_OF_CG = {"f32": 1e5, "f64": 1e10}
 # The roundings of ‖A r‖ / (‖A‖ ‖r‖) below which r counts as a vector of the null space.
 _NULL = 300
@@ -22,7 +23,7 @@ _SHORTEST = 0.7
 
 
 def _conjugate_gradients(system: System, residual: float, limit: int) -> Progress:
-    """For symmetric positive definite A."""
+    """The method of conjugate gradients, for symmetric positive definite operators."""
     k, x, r, p, q = system.kernels, system.x, system.r, system.p, system.q
     goal = (system.tolerance * system.norm) ** 2
     square = start = (residual * system.norm) ** 2
@@ -74,7 +75,8 @@ def _bi_conjugate_gradients(system: System, residual: float, limit: int) -> Prog
     square = (residual * system.norm) ** 2
     most = square * _GROWTH[x.dtype.name] ** 2
     if system.restarts > 1:
-        # The residual was a shadow that led nowhere.
+        # The residual has served as the shadow vector and led nowhere, so a random vector replaces
+        # it.
         k.make_noise(shadow)
     else:
         k.copy(shadow, r)
@@ -113,7 +115,7 @@ def _bi_conjugate_gradients(system: System, residual: float, limit: int) -> Prog
         system.keep(math.sqrt(square) / system.norm)
         last, rho = rho, k.dot(shadow, r)
         if rho == 0 or omega == 0:
-            # The residual is orthogonal to the shadow.
+            # The residual is orthogonal to the shadow vector, so the method begins again.
             return Progress(step, 0.0, BEGIN_AGAIN)
         k.turn(p, r, rho / last * (alpha / omega), v, omega)
     return Progress(limit, 0.0, "")
@@ -158,7 +160,7 @@ def _minimal_residuals(system: System, residual: float, limit: int) -> Progress:
         norm = max(norm, column)
         if precondition is None:
             system.note_norm(column)
-        # The rotations of the least squares problem.
+        # These are the Givens rotations of the least squares problem.
         eps, delta = eps_next, cosine * dbar + sine * alpha
         gamma_bar = sine * dbar - cosine * alpha
         eps_next, dbar = sine * beta, -cosine * beta
@@ -199,7 +201,7 @@ def stationary(sweep: Callable[[System], None]) -> Method:
             if residual <= system.tolerance:
                 return Progress(step, residual, "")
             if not residual < 1e6 * max(first, 1.0):
-                # Another start goes the same way.
+                # Another start would fail in the same way, so no restarts are left.
                 system.restarts = limit
                 return Progress(step, residual, "diverges")
             system.keep(residual)

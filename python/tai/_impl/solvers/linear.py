@@ -23,7 +23,7 @@ from .system import MAY_BE_SINGULAR, Method, Progress, System
 
 
 def check_system(solver: str, apply: Any, b: Any, x: Any) -> Any:
-    """The kernel of A, after checks of the arguments."""
+    """Checks the arguments of a solver, and returns the kernel of the operator A."""
     check_unknown(x, "the solution", solver)
     check_unknown(b, "the right-hand side", solver)
     check_alike(b, x, solver)
@@ -55,7 +55,7 @@ def _solve(
         progress = run(pull, g, adjoint, transposed)
         if progress.reason not in MAY_BE_SINGULAR:
             return Adjoint(progress)
-        # Where A is singular, the solution follows a part of its gradient only.
+        # If A is singular, the solution follows only a part of its gradient.
         size = project(operator, pull, g, method.symmetric, caller)
         if not size:
             return Adjoint(progress)

@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import TaiRuntimeTypeError
 from .linear import bicgstab, cg
 
-# The least relative tolerances that rounding allows.
+# For each type, the least relative tolerance that rounding allows.
 _LEAST = {"f32": 1e-6, "f64": 1e-14}
 
 

@@ -22,7 +22,7 @@ at_close.append(_scratch.clear)
 
 
 def check_unknown(field: Any, what: str, solver: str) -> None:
-    """Refuses an unknown that a solver cannot solve for.
+    """Raises an error for a field that a solver cannot take as its unknown.
 
     Raises:
         TaiRuntimeTypeError: no field, not of f32 or f64, sparse, or one vector alone.
@@ -156,7 +156,7 @@ class Operator:
         self._accumulates = not target & set(found.stored)
 
     def check_differentiable(self) -> None:
-        """Refuses arguments that the adjoint of a solution cannot pass through.
+        """Refuses arguments of the operator through which the adjoint of a solution cannot pass.
 
         Raises:
             TaiAutodiffError: the unknown, or an array, has the wrong kind of gradient.
@@ -183,7 +183,7 @@ class Operator:
         self._run(self._kernel, source, target, self._plain)
 
     def record(self) -> None:
-        """Launches the kernel at the solution, for a tape: both forms.
+        """Launches both forms of the kernel at the solution, for a tape to record.
 
         In reverse, the first restores the values that the adjoint solve reads; the other adds to
         the gradients of all parameters.
@@ -197,7 +197,7 @@ class Operator:
         self.image.grad.fill(0)
 
     def push(self, source: Any) -> None:
-        """image.dual = J source.dual, at the present `source`; in forward mode."""
+        """Computes image.dual = J source.dual in forward mode, at the present `source`."""
         self._run(self._linear(), source, self.image, self._plain)
 
     def push_parameters(self, source: Any) -> None:

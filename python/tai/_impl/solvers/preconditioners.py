@@ -23,7 +23,7 @@ Apply = Callable[[Any, Any], None]
 
 
 class Preconditioner:
-    """z ≈ A⁻¹ r for fields r and z."""
+    """Base of preconditioners, which compute z ≈ A⁻¹ r for fields r and z."""
 
     def bind(self, solver: str, x: Any, transposed: bool) -> Apply:
         """The function that applies it, or its transpose, to fields like x.
@@ -35,7 +35,7 @@ class Preconditioner:
 
 
 class Jacobi(Preconditioner):
-    """Division by the diagonal of A.
+    """The Jacobi preconditioner: division by the diagonal of A.
 
     Args:
         diagonal: a field like the solution. Where it is zero, nothing is divided.
@@ -137,7 +137,7 @@ class _Hook(Preconditioner):
 
 
 def bind(solver: str, given: Any, x: Any, transposed: bool = False) -> Apply | None:
-    """The function of a solver's argument `preconditioner`.
+    """Returns the function that the argument `preconditioner` of a solver stands for.
 
     Raises:
         TaiRuntimeTypeError: it is none.

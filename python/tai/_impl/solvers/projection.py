@@ -59,7 +59,7 @@ def project(
 
 
 def _is_null(apply: Callable[[Any, Any], None], v: Any) -> bool:
-    """Whether A v is zero but for rounding."""
+    """Whether A v is zero except for rounding."""
     k = get_kernels()
     noise, image = scratch(v, "kept"), scratch(v, "last")
     apply(v, image)

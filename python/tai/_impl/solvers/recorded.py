@@ -40,7 +40,7 @@ def run(
     solve_tangent: Callable[[Any, Any], Progress] | None = None,
     start: Any = None,
 ) -> SolveInfo:
-    """Solves, and records it where a tape is open.
+    """Runs a solver, and records the solve if a tape is recording.
 
     Args:
         caller: of the solver.
@@ -94,7 +94,7 @@ def run(
         if start is not None:
             kernels.copy(start, adjoint)
         if progress.reason == "not finite":
-            # NaN goes on to where it would have gone.
+            # The adjoint becomes NaN, so that NaN spreads as it would have without a solver.
             adjoint.fill(math.nan)
         info.adjoint = SolveInfo(solver=caller.solver, x=operator.x.grad, projected=projected)
         info.adjoint.take(progress)
@@ -113,7 +113,7 @@ def run(
 def _take_tangent(
     caller: Caller, operator: Operator, solve_tangent: Callable[[Any, Any], Progress]
 ) -> None:
-    """x.dual, of A ẋ = ḃ - Ȧ x."""
+    """Computes x.dual, the solution of A ẋ = ḃ - Ȧ x."""
     x = operator.x
     dual = x.dual
     if dual is None or dual.snode is None:
@@ -134,7 +134,7 @@ def _take_tangent(
 
 
 def subtract_from_tangent(b: Any, rest: Any) -> None:
-    """rest = ḃ - rest; b without a dual is constant."""
+    """Computes rest = ḃ - rest; a right-hand side without a dual is constant."""
     k = get_kernels()
     dual = b.dual
     if dual is None or dual.snode is None:
@@ -144,7 +144,7 @@ def subtract_from_tangent(b: Any, rest: Any) -> None:
 
 
 def pull(operator: Operator, v: Any, result: Any) -> None:
-    """result = Jᵀ v, through the gradient of the unknown."""
+    """Computes result = Jᵀ v, through the gradient of the unknown."""
     kernels = get_kernels()
     operator.x.grad.fill(0)
     kernels.copy(operator.image.grad, v)
@@ -153,6 +153,6 @@ def pull(operator: Operator, v: Any, result: Any) -> None:
 
 
 def has_gradient(field: Any) -> bool:
-    """Whether the field has a gradient in memory."""
+    """Whether the gradient of the field exists in memory."""
     grad = field.grad
     return grad is not None and grad.snode is not None

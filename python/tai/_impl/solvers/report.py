@@ -60,7 +60,7 @@ _STATUS = {
 
 @dataclass
 class SolveInfo:
-    """The result of a solver.
+    """The result of a solver call, as the program gets it.
 
     Attributes:
         solver: its name.
@@ -112,7 +112,7 @@ class SolveInfo:
 
 
 class Caller:
-    """The line of the program that called a solver.
+    """The line of the program that called a solver, for messages.
 
     Raises:
         TaiAutodiffError: forward mode is on, and the solver has no derivative in it.
@@ -154,10 +154,11 @@ class Caller:
             self.tolerance = max(self.tolerance * scale, LEAST_TOLERANCE[dtype_name])
 
     def warn(self, operator: Operator, progress: Progress, what: str, is_recorded: bool) -> None:
-        """Says that a solve did not converge."""
+        """Warns that a solve did not converge."""
         if not progress.reason or self.is_tightened:
             return
-        # Only kernels name fields otherwise, and none of the program's may have read it yet.
+        # Fields get their names from the caller's variables, because no kernel may have named them
+        # yet.
         frame = calling_frame()
         name_fields(frame.f_locals)
         name_fields(frame.f_globals)

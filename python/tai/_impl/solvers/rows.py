@@ -43,7 +43,8 @@ def kernels() -> Any:
         @staticmethod
         @kernel
         def copy_numbers(source: template(), target: template(), count: i32):
-            # The order of numbers has no derivative.
+            # The order of numbers has no derivative, so the numbers are copied without their
+            # gradient.
             for i in range(count):
                 target[i] = stop_grad(source[i])
 

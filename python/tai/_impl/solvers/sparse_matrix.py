@@ -25,12 +25,12 @@ from ..history import origins
 # SciPy's formats by Taichi's.
 _FORMATS = {"col_major": "csc", "row_major": "csr"}
 _SOLVERS = ("LLT", "LDLT", "LU")
-# Orders of SciPy by those of Eigen, which Taichi names.
+# For each ordering of Eigen, which Taichi names, the one of SciPy.
 _ORDERINGS = {"AMD": "MMD_AT_PLUS_A", "COLAMD": "COLAMD"}
 
 
 def get_scipy() -> tuple[Any, Any]:
-    """The modules of SciPy, for a matrix."""
+    """Returns the modules of SciPy that matrices need."""
     return base_scipy.get_scipy(
         instead="solve with a kernel in the place of a matrix: ti.linalg.cg"
     )
@@ -118,7 +118,7 @@ class SparseMatrixBuilder(Triplets):
         return rows[order], columns[order], self.values[:number][order]
 
     def print_triplets(self) -> None:
-        """Prints the entries, column by column."""
+        """Prints the entries of the matrix, column by column."""
         rows, columns, values = self._entries()
         size = f"n={self.num_rows}, m={self.num_cols}"
         print(f"{size}, num_triplets={len(values)} (max={self.capacity})")
@@ -145,7 +145,7 @@ def as_numpy(x: Any) -> np.ndarray:
 
 
 class SparseMatrix:
-    """A sparse matrix.
+    """A sparse matrix that is computed on the host by SciPy.
 
     `+`, `-` and `*` go element by element, `*` also with a number; `A @ x` is the product with
     another one, or with a vector: a field, a `ti.ndarray` or an array of NumPy.
@@ -190,7 +190,7 @@ class SparseMatrix:
         return dtypes.f32 if self._matrix.dtype == np.float32 else dtypes.f64
 
     def to_scipy(self) -> Any:
-        """The same matrix as an array of `scipy.sparse`, which shares its memory."""
+        """Returns the same matrix as an array of `scipy.sparse`, which shares its memory."""
         return self._matrix
 
     def to_numpy(self) -> np.ndarray:
@@ -202,7 +202,7 @@ class SparseMatrix:
 
     def __setitem__(self, indices: tuple[int, int], value: float) -> None:
         with warnings.catch_warnings():
-            # scipy warns that changing single entries is slow.
+            # SciPy's warning that changing single entries is slow is suppressed.
             warnings.simplefilter("ignore")
             self._matrix[indices] = value
         origins.note_computed(self, value)
@@ -217,7 +217,7 @@ class SparseMatrix:
         return self._derived(made.asformat(self._matrix.format), other)
 
     def _derived(self, matrix: Any, *operands: Any) -> SparseMatrix:
-        """A matrix that is computed from this one and from others."""
+        """Makes a matrix that is computed from this one and from others."""
         return origins.note_computed(SparseMatrix._of(matrix), self, *operands)
 
     def __add__(self, other: Any) -> Any:
@@ -250,7 +250,7 @@ class SparseMatrix:
         return origins.note_computed(like(other, result), self, other)
 
     def spmv(self, x: Any, y: Any) -> None:
-        """y = A x for fields or arrays."""
+        """Computes the product y = A x for fields or arrays."""
         product = np.asarray(self._matrix @ as_numpy(x), dtype=y.dtype.numpy)
         y.from_numpy(origins.note_computed(product, self, x))
 
@@ -283,7 +283,7 @@ class SparseMatrix:
 
 
 def like(given: Any, result: np.ndarray) -> Any:
-    """A result as a `ti.ndarray` where the argument was one."""
+    """Returns a result as a `ti.ndarray` if the argument was one."""
     if not isinstance(given, Ndarray):
         return result
     made = Ndarray(given.dtype, result.shape)
@@ -335,7 +335,7 @@ class SparseSolver:
             )
 
     def factorize(self, sparse_matrix: SparseMatrix) -> None:
-        """Factorises the matrix; `info` says whether there is a factorisation."""
+        """Factorises the matrix; afterwards `info` says whether this succeeded."""
         _, solvers = get_scipy()
         self._check(sparse_matrix)
         a = sparse_matrix.to_scipy().astype(np.float64).tocsc()
@@ -353,7 +353,8 @@ class SparseSolver:
         except RuntimeError as error:
             self._problem = f"the matrix cannot be factorised: {error}"
             return
-        # Without pivoting, U = D Lᵀ.
+        # Without pivoting, U = D Lᵀ, so the diagonal of U shows whether the matrix is positive
+        # definite.
         pivots = factors.U.diagonal()
         if self.solver_type == "LLT" and (pivots <= 0).any():
             self._problem = "the matrix is not positive definite, as LLT needs it"
@@ -362,7 +363,7 @@ class SparseSolver:
         origins.note_computed(self, sparse_matrix)
 
     def compute(self, sparse_matrix: SparseMatrix) -> None:
-        """`analyze_pattern`, which `factorize` includes, and `factorize`."""
+        """Does the steps of `analyze_pattern`, which `factorize` includes, and of `factorize`."""
         self.factorize(sparse_matrix)
 
     def solve(self, b: Any) -> Any:

@@ -18,12 +18,12 @@ BEGIN_AGAIN = "begin again"
 # Reasons after which another start may help, and how often one is tried.
 _MAY_PASS = {BEGIN_AGAIN, "diverges", "breakdown"}
 _RESTARTS = 4
-# Reasons that a singular operator may have.
+# The reasons of a failure that can mean that the operator is singular.
 MAY_BE_SINGULAR = {"indefinite", "diverges", "stagnates", "iterations", "breakdown",
                    "inconsistent"}  # fmt: skip
 # Reasons for which an operator that is not symmetric may be the cause.
 _MAY_BE_ASYMMETRIC = {*MAY_BE_SINGULAR, "preconditioner"}
-# The least asymmetry that is none of rounding.
+# For each type, the least asymmetry of an operator that rounding does not explain.
 _ASYMMETRY = {"f32": 1e-3, "f64": 1e-8}
 # A solution is kept each time its residual has fallen by this factor.
 _KEEP_EACH = 0.1
@@ -45,7 +45,7 @@ class Progress(NamedTuple):
 
 
 class Method(NamedTuple):
-    """A method: run(system, residual, limit) improves the solution.
+    """An iterative method: run(system, residual, limit) improves the solution.
 
     Attributes:
         run: starts from `system.x` and `system.r`, the residual there.
@@ -74,7 +74,7 @@ def norm_of(field: Any) -> float:
 
 
 class System:
-    """A x = b.
+    """A linear system A x = b, and the state of its iterative solution.
 
     Args:
         apply: apply(p, q) writes A p to q.
@@ -95,7 +95,7 @@ class System:
         self.r, self.p, self.q = (scratch(x, role) for role in ("residual", "direction", "product"))
         # A bound from below of the norm of A: the greatest of ‖A v‖ / ‖v‖ that is known.
         self.operator_norm = 0.0
-        # How many times a method has begun again.
+        # The number of times that a method has begun again.
         self.restarts = 0
         self._kept = math.inf
 
@@ -127,7 +127,7 @@ class System:
                 residual = self.compute_residual()
             if method.symmetric and reason in _MAY_BE_ASYMMETRIC and self._is_asymmetric():
                 reason = "asymmetric"
-                # The recurrences give its norm for symmetric operators alone.
+                # The method's recurrences give the operator's norm only for symmetric operators.
                 self.operator_norm = 0.0
         error = self._compute_backward_error(residual)
         k.scale(self.x, self.x, 1 / inverse)
@@ -138,7 +138,7 @@ class System:
         done, last, reason = 0, math.inf, ""
         residual = self.compute_residual()
         if not math.isfinite(residual):
-            # A start that is not finite is replaced by zero, once.
+            # A start that is not finite is replaced by zero, but only once.
             self.x.fill(0)
             residual = self.compute_residual()
             if not math.isfinite(residual):
@@ -146,7 +146,7 @@ class System:
         while residual > self.tolerance:
             if reason in _MAY_PASS and self.restarts < _RESTARTS:
                 self.restarts += 1
-                # The residual need not have fallen by then.
+                # The residual need not have fallen at that point.
                 last, reason = math.inf, ""
             if reason or done >= self.limit:
                 break
@@ -167,7 +167,7 @@ class System:
         return done, residual, reason or "iterations"
 
     def _is_noise(self, residual: float) -> bool:
-        """Whether roundings of A x are as large as a residual that has hardly fallen.
+        """Whether rounding errors of A x are as large as a residual that has hardly fallen.
 
         Then x has run away along a null space, and is worth less than zero.
         """
@@ -203,7 +203,7 @@ class System:
         return math.sqrt(self.kernels.subtract(self.r, self.scaled_b, self.q, 1.0)) / self.norm
 
     def note_norm(self, norm: float) -> None:
-        """Takes ‖A v‖ / ‖v‖ of any vector."""
+        """Notes the ratio ‖A v‖ / ‖v‖ of any vector as a lower bound of the operator's norm."""
         if self.operator_norm < norm < math.inf:
             self.operator_norm = norm
 
@@ -220,7 +220,7 @@ class System:
         return residual
 
     def _is_asymmetric(self) -> bool:
-        """Whether ⟨A u, A u⟩ and ⟨u, A A u⟩ differ, for a u without structure."""
+        """Whether ⟨A u, A u⟩ and ⟨u, A A u⟩ differ for a vector u without structure."""
         k, u, v, w = self.kernels, self.p, scratch(self.x, "kept"), scratch(self.x, "last")
         k.make_noise(u)
         self.apply(u, v)

@@ -82,7 +82,7 @@ def get_kernels() -> Any:
         @staticmethod
         @kernel
         def subtract(r: template(), b: template(), q: template(), factor: f64) -> f64:
-            # r = factor b - q; the square of its norm.
+            # Computes r = factor b - q and the square of the norm of r.
             total = cast(0.0, f64)
             for at in grouped(r):
                 value = cast(b[at] * factor - q[at], r.dtype)
@@ -107,14 +107,14 @@ def get_kernels() -> Any:
         @staticmethod
         @kernel
         def turn(p: template(), r: template(), beta: f64, q: template(), omega: f64):
-            # p = r + beta (p - omega q)
+            # Computes p = r + beta (p - omega q).
             for at in grouped(p):
                 p[at] = cast(r[at] + (p[at] - q[at] * omega) * beta, p.dtype)
 
         @staticmethod
         @kernel
         def orthogonalize(q: template(), older: template(), factor: f64, v: template()) -> f64:
-            # q -= factor older; the product with v.
+            # Computes q -= factor older, and the product of q with v.
             total = cast(0.0, f64)
             for at in grouped(q):
                 value = cast(q[at] - older[at] * factor, q.dtype)
@@ -177,7 +177,7 @@ def get_kernels() -> Any:
         @staticmethod
         @kernel
         def make_noise(u: template()):
-            # Numbers of [-1, 1] that depend on the place alone.
+            # Fills u with numbers of [-1, 1] that depend on the position alone.
             for at in grouped(u):
                 phase = cast(0.5, f64)
                 for d in static(range(at.n)):
@@ -197,7 +197,7 @@ def get_kernels() -> Any:
         @staticmethod
         @kernel
         def divide(z: template(), r: template(), diagonal: template()):
-            # Where the diagonal is zero, as it is.
+            # Where the diagonal is zero, the element is taken as it is.
             for at in grouped(z):
                 z[at] = select(diagonal[at] == 0, r[at], r[at] / diagonal[at])
 
@@ -213,7 +213,7 @@ def get_kernels() -> Any:
         @staticmethod
         @kernel
         def sweep(x: template(), r: template(), diagonal: template(), omega: f64):
-            # x += omega r / diagonal
+            # Computes x += omega r / diagonal.
             for at in grouped(x):
                 x[at] = cast(x[at] + r[at] / diagonal[at] * omega, x.dtype)
 

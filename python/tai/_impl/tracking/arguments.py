@@ -16,7 +16,7 @@ from .tape_arrays import overlap
 def as_array(value: Any) -> Any:
     """The NumPy array that shares the memory of `value`, a `DeviceArray`, or None."""
     if isinstance(value, np.ndarray):
-        # A subclass may say anything of its shape.
+        # A subclass of np.ndarray may report any shape, so a plain view is used.
         return value if type(value) is np.ndarray else np.ndarray.view(value, np.ndarray)
     if isinstance(getattr(value, "array", None), (np.ndarray, device_arrays.DeviceArray)):
         return value.array
@@ -45,7 +45,9 @@ def find_alias(spec: Any, value: Any, values: list[Any], specs: list[Any]) -> in
 
 
 def adjoint_slots(found: Any, values: list, tape: Any) -> tuple[list, Any]:
-    """Where the adjoints of arguments and of the result are, and the gradient of that."""
+    """Returns the memory for the adjoints of arguments and of the result, and the gradient of the
+    result.
+    """
     slots: list[int] = []
 
     def add(buffer: np.ndarray) -> None:
@@ -77,7 +79,7 @@ def adjoint_slots(found: Any, values: list, tape: Any) -> tuple[list, Any]:
 
 
 def check_arrays(kernel: str, parameters: list, found: Any, values: list) -> None:
-    """Refuses arrays that cannot be differentiated correctly."""
+    """Refuses array arguments that cannot be differentiated correctly."""
     names = [parameter.name for parameter in parameters]
     arrays = []
     for name, spec, value in zip(names, found.specs, values, strict=True):

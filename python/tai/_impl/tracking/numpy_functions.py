@@ -42,7 +42,7 @@ UNARY: dict[str, Callable[[Any, Any], Any]] = {
 }
 UNARY["degrees"], UNARY["radians"] = UNARY["rad2deg"], UNARY["deg2rad"]
 
-# Both partial derivatives of a function of two numbers.
+# For each function of two numbers, both of its partial derivatives.
 BINARY: dict[str, Callable[[Any, Any, Any], tuple[Any, Any]]] = {
     "arctan2": lambda a, b, y: (b / (a * a + b * b), -a / (a * a + b * b)),
     "copysign": lambda a, b, y: (np.copysign(1.0, a) * np.copysign(1.0, b), 0.0),
@@ -55,7 +55,7 @@ BINARY: dict[str, Callable[[Any, Any, Any], tuple[Any, Any]]] = {
 }
 BINARY["fmax"], BINARY["fmin"] = BINARY["maximum"], BINARY["minimum"]
 
-# Functions that are operators of Python, too.
+# Functions of NumPy that are also operators of Python.
 OPERATORS = {
     "add": "add", "subtract": "sub", "multiply": "mul", "divide": "truediv", "power": "pow",
     "float_power": "pow", "remainder": "mod",
@@ -87,7 +87,7 @@ def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: 
 
 
 def where(condition: Any, x: Any, y: Any) -> Any:
-    """`np.where` of one condition and two numbers."""
+    """Evaluates `np.where` of one condition and two numbers."""
     return x if condition else y
 
 

@@ -19,12 +19,12 @@ from ..fields.snode import FieldsBuilder, axes
 # Gives the kernel that computes with them; module `ad.library`, which forward mode loads, sets it.
 get_kernel: Any = None
 
-# Numbers that forward mode can follow at a time.
+# The most numbers that forward mode can follow at a time.
 SIZE = 4096
 
 
 class Pool:
-    """A field, and which of its elements are taken.
+    """A field that keeps tangents of numbers, and which of its elements are in use.
 
     Attributes:
         number: of the pool.
@@ -43,7 +43,7 @@ class Pool:
         self._next = 0
 
     def take(self, count: int) -> int:
-        """The first of `count` elements in a row."""
+        """Takes `count` free elements in a row; returns the number of the first."""
         free = self._free.get(count)
         if free:
             return free.pop()
@@ -90,13 +90,13 @@ class Cell:
 
     @property
     def is_current(self) -> bool:
-        """Whether forward mode is on, in the program of the number."""
+        """Whether forward mode is on, in the same program in which the number was made."""
         program = state.program
         return state.forward and program is not None and self.pool in program.pools
 
 
 class Component:
-    """The place of a component of a vector or matrix."""
+    """The element of the pool that keeps the tangent of a component of a vector or matrix."""
 
     __slots__ = ("_whole", "count", "first", "pool")
 
@@ -110,7 +110,7 @@ class Component:
 
 
 def cell_of(value: Any) -> Any:
-    """Where a value has its tangent, if forward mode follows it."""
+    """Returns the element that keeps the tangent of a value, if forward mode follows it."""
     cell = getattr(value, "_cell", None) if state.forward else None
     return cell if cell is not None and cell.is_current else None
 

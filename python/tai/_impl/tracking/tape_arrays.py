@@ -27,7 +27,7 @@ from ..interop import device_arrays
 
 
 class _HostCopy:
-    """The former contents of an array of the host."""
+    """A copy of the former contents of an array in host memory."""
 
     def __init__(self, array: np.ndarray):
         self._array, self._kept = array, pieces.copied(array)
@@ -40,7 +40,7 @@ class _HostCopy:
 
 
 class _DeviceCopy:
-    """The former contents of an array of a GPU."""
+    """A copy of the former contents of an array in GPU memory."""
 
     def __init__(self, array: device_arrays.DeviceArray):
         self._array = array
@@ -64,7 +64,7 @@ _MOST_WORK = 100_000
 
 
 def overlap(one: Any, other: Any) -> bool:
-    """Whether two arrays share elements; true where that is too hard to tell."""
+    """Whether two arrays share elements; true if that is too hard to tell."""
     if one.nbytes == 0 or other.nbytes == 0:
         return False
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
@@ -81,7 +81,7 @@ def overlap(one: Any, other: Any) -> bool:
 
 
 def overlaps_itself(array: Any) -> bool:
-    """Whether two elements of an array share memory; true where that is too hard to tell."""
+    """Whether two elements of an array share memory; true if that is too hard to tell."""
     if not isinstance(array, np.ndarray) or array.flags.c_contiguous or array.nbytes == 0:
         return False
     part = array
@@ -114,7 +114,7 @@ def check_written_view(kernel: str, name: str, value: Any, array: Any) -> None:
 
 
 def is_same_array(one: Any, other: Any) -> bool:
-    """Whether two arrays have the same elements, in the same order."""
+    """Whether two arrays consist of the same elements in memory, in the same order."""
     if type(one) is not type(other) or one.dtype != other.dtype:
         return False
     same = one.ctypes.data == other.ctypes.data and one.shape == other.shape
@@ -135,7 +135,7 @@ def _digest_of(array: Any) -> int:
 
 
 class HeldArray(NamedTuple):
-    """An array that a launch is given.
+    """An array that is passed to a launch.
 
     Attributes:
         name: the parameter.
@@ -169,7 +169,7 @@ class HeldArray(NamedTuple):
 
 
 def check_overlaps(held: list[HeldArray], tracks: bool) -> None:
-    """Refuses arrays that share elements of which the kernel writes some.
+    """Refuses arrays that share elements if the kernel writes one of them.
 
     The same array for two parameters is changed in place, but a gradient cannot tell.
     """
@@ -196,7 +196,7 @@ class _Frozen:
         self.versions: list[np.ndarray] = []
 
     def take(self, array: np.ndarray) -> np.ndarray:
-        """The copy that equals the present contents of the array."""
+        """Returns the kept copy that equals the present contents of the array."""
         if not self.versions or not _is_equal(self.versions[-1], array):
             self.versions.append(pieces.copied(array))
         return self.versions[-1]
@@ -296,7 +296,7 @@ class Ordered(native.WithBlock):
 
 
 class ArraySweep(Ordered):
-    """Around a reverse sweep: puts arrays back afterwards."""
+    """Surrounds a reverse sweep, and restores the arrays afterwards."""
 
     _final: Sequence[Any] = ()
 
@@ -335,12 +335,12 @@ class TapeArrays:
         self._changing: list[HeldArray] = []
         # Arrays of a GPU, one for each library that says on which stream it works.
         self.streams: dict[Any, device_arrays.DeviceArray] = {}
-        # Tensors with their versions, and those with a gradient.
+        # The tensors with their versions, and the tensors that have a gradient.
         self._tensors: dict[int, list] = {}
         self._gradients: dict[int, tuple[Any, Any]] = {}
 
     def use(self, held: HeldArray) -> Any:
-        """An array of the launch that comes next.
+        """Notes an array of the launch that comes next; returns the array to pass.
 
         Returns:
             The memory that the kernel gets.
@@ -405,7 +405,7 @@ class TapeArrays:
         return version
 
     def _freeze(self, key: tuple, held: HeldArray) -> np.ndarray:
-        """The copy that the launch reads, and its gradient."""
+        """Returns the copy that the launch reads in place of the array, with its gradient."""
         known = self._frozen.setdefault((*key, held.array.dtype.str), _Frozen(held))
         copies = len(known.versions)
         copy = known.take(held.array)
@@ -441,7 +441,9 @@ class TapeArrays:
             self._staged.append(held)
 
     def after_launch(self) -> None:
-        """The launch has been recorded, and has run."""
+        """Notes the arrays that a launch has changed. Called when it has been recorded and has
+        run.
+        """
         for held in self._staged:
             copy, array = held.launched, held.array
             self._core.record(lambda copy=copy, array=array: pieces.copy(array, copy), None)
@@ -457,12 +459,12 @@ class TapeArrays:
         self.forget_launch()
 
     def forget_launch(self) -> None:
-        """The launch has failed, or all has been said about it."""
+        """Forgets the next launch: it has failed, or its arrays have been noted."""
         self._staged.clear()
         self._changing.clear()
 
     def use_gradient(self, value: Any, buffer: Any) -> None:
-        """The memory to which the gradient of an argument is added."""
+        """Returns the memory to which the gradient of an argument is added."""
         taken = getattr(getattr(value, "grad", None), "taken", None)
         if taken is not None:
             self._take()(taken)  # type: ignore[misc]
@@ -472,7 +474,7 @@ class TapeArrays:
             self._gradients.setdefault(id(value), (value, value.grad))
 
     def end(self) -> None:
-        """The tape records no more."""
+        """Ends the recording of arrays, when the tape records no more."""
         self._launcher.forget_taped_arrays()
 
     def find(self, array: np.ndarray, has_gradient: bool) -> str | None:
@@ -490,11 +492,11 @@ class TapeArrays:
 
     @property
     def restores(self) -> bool:
-        """Whether a sweep puts back contents of arrays."""
+        """Whether a reverse sweep restores contents of arrays."""
         return bool(self._restored)
 
     def copy_restored(self) -> list[Any]:
-        """Copies of the arrays whose contents a sweep puts back."""
+        """Returns copies of the arrays whose contents a sweep restores."""
         return [_copy_of(array) for array in self._restored.values()]
 
     def check_versions(self) -> None:
@@ -522,7 +524,7 @@ class TapeArrays:
             frozen.renew()
 
     def renew_digests(self) -> None:
-        """The launches have run forward again."""
+        """Notes the contents of arrays anew, because the launches have run forward again."""
         for watched in self._watched.values():
             watched.renew()
 

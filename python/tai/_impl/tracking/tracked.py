@@ -71,12 +71,12 @@ def variable(value: Any) -> Any:
 
 
 def gradient_of(value: Any) -> Gradient | None:
-    """The gradient of a value, if it has one."""
+    """Returns the gradient of a value, or None if it has none."""
     return getattr(value, "_gradient", None) if isinstance(value, (Number, Matrix)) else None
 
 
 def _is_tracked(value: Any) -> bool:
-    """Whether the results of Python's arithmetic on the value have a gradient or a tangent, too.
+    """Whether Python's arithmetic on the value gives results with a gradient or a tangent.
 
     The gradient of a variable matters while a tape records; the result of a kernel under a tape may
     become part of a loss afterwards.
@@ -100,7 +100,7 @@ class Number(float):
     """
 
     _gradient: Gradient | None
-    # Where its tangent is, in forward mode.
+    # The element that keeps the value's tangent in forward mode, or None.
     _cell: Any = None
 
     @classmethod
@@ -120,7 +120,7 @@ class Number(float):
 
 
 def _plain(thing: Any) -> Any:
-    """The same with plain numbers in the place of those with a gradient."""
+    """Returns the same object with plain numbers in the place of those with a gradient."""
     if isinstance(thing, Number):
         return float(thing)
     if type(thing) in (list, tuple):
@@ -149,7 +149,7 @@ def _is_single(value: Any) -> bool:
 
 
 def _numpy_function(ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
-    """A function of NumPy of single numbers, with its gradient."""
+    """Evaluates a function of NumPy for single numbers, with its gradient."""
     name = ufunc.__name__
     values = [item.item() if isinstance(item, np.ndarray) and item.ndim == 0 else item
               for item in inputs]  # fmt: skip
@@ -229,7 +229,7 @@ def _power_partials(a: float, b: float) -> tuple[float, float]:
     return first, a**b * math.log(a) if a > 0 else 0.0
 
 
-# The value of an operation, and its partial derivatives.
+# For each operation, its value and its partial derivatives.
 _OPERATIONS: dict[str, tuple[Any, Any]] = {
     "add": (operator.add, lambda a, b: (1.0, 1.0)),
     "sub": (operator.sub, lambda a, b: (1.0, -1.0)),
@@ -277,7 +277,7 @@ Number.__abs__ = _unary(abs, lambda a: float(np.sign(a)), "abs", 0.0)  # type: i
 
 
 class _Tracked:
-    """A vector or matrix with a gradient."""
+    """Base of vectors and matrices with a gradient."""
 
     __slots__ = ()
 
@@ -345,7 +345,7 @@ def _as_plain_array(thing: Any) -> Any:
     return thing
 
 
-# Methods that give the numbers as they are; all others compute.
+# Methods of matrices that give the numbers as they are; all others compute.
 _PLAIN = {"to_numpy", "to_list", "get_shape", "field", "ndarray", "fill"}
 
 
@@ -404,7 +404,7 @@ def _is_tensor_with_gradient(value: Any) -> bool:
 
 
 def has_gradient_array(value: Any) -> bool:
-    """Whether the array is one that kernels are differentiated by.
+    """Whether kernels are differentiated with respect to the array.
 
     A `ti.ndarray` made with `needs_grad=True`, or a torch tensor with `requires_grad`.
     """
@@ -435,7 +435,7 @@ def gradient_array(value: Any) -> Any:
 
 
 class TapeValues:
-    """The values and arrays that the launches of a tape use."""
+    """The values and arrays of Python that the launches of a tape use."""
 
     def __init__(self, core: Any, runs_again: bool = False, clears: bool = True):
         self.core = core
@@ -444,12 +444,12 @@ class TapeValues:
         self.arrays = TapeArrays(core, runs_again, weakref.WeakMethod(self.take))
         self._fed_back = False
         self._clears = clears
-        # The thread that records or sweeps, until it is done.
+        # The thread that records or sweeps, until this work is done.
         self.worker: object = state.thread
         self._taken: list[Any] = []
 
     def take(self, thing: Any) -> None:
-        """A launch uses the gradient of a variable or an array.
+        """Notes that a launch uses the gradient of a variable or an array.
 
         A value that another thread has left in the gradient counts as zero.
 
@@ -477,7 +477,7 @@ class TapeValues:
         self._taken.append(thing)
 
     def end_work(self) -> None:
-        """The sweep is over, or will not come."""
+        """Ends the work on the values: the sweep is over, or will not come."""
         self.worker = None
 
     def argument(self, gradient: Gradient, dt: DataType) -> np.ndarray:
@@ -495,7 +495,7 @@ class TapeValues:
         return buffer
 
     def result(self, shape: tuple[int, ...], dt: DataType) -> tuple[Gradient, np.ndarray]:
-        """A gradient for the result of the next launch."""
+        """Makes a gradient for the result of the next launch."""
         gradient = Gradient(shape, dt)
         self._gradients.append(gradient)
         buffer = gradient.buffer(dt)
@@ -503,7 +503,7 @@ class TapeValues:
         return gradient, buffer
 
     def begin_work(self, losses: tuple, forward: bool) -> None:
-        """Prepares a sweep; see `ValueSweep`."""
+        """Prepares the values for a reverse sweep; see `ValueSweep`."""
         if self.worker is not state.thread:
             taken, self._taken = self._taken, []
             self.worker = state.thread
@@ -524,7 +524,9 @@ class TapeValues:
             _seed(value, amount)
 
     def check_replay(self) -> None:
-        """A forward replay calls kernels with the arguments that were recorded."""
+        """Refuses a forward replay if a kernel was passed the result of another: arguments are
+        recorded.
+        """
         if self._fed_back:
             raise TaiRuntimeError(
                 "the tape cannot run forward again: a kernel took what another had returned",
@@ -579,7 +581,7 @@ def check_loss(loss: Any) -> None:
 
 
 def parse_losses(losses: tuple) -> tuple:
-    """Pairs of values and seeds, from the arguments of `Tape.backward`.
+    """Returns pairs of values and seeds, from the arguments of `Tape.backward`.
 
     Raises:
         TaiRuntimeTypeError: a tape cannot begin with one of them, or its seed does not fit.
@@ -624,7 +626,7 @@ def begin(core: Any, runs_again: bool = False, clears: bool = True) -> TapeValue
 
 
 def recording() -> TapeValues | None:
-    """The values of the tape that records, in any thread."""
+    """Returns the values of the tape that records, in any thread; or None."""
     core, active = state.tape, gradients.of_thread.active
     if core is None:
         return None
@@ -632,7 +634,7 @@ def recording() -> TapeValues | None:
 
 
 def end() -> None:
-    """The tape records no more."""
+    """Forgets the values of the tape, when it records no more."""
     if not state.forward:
         origins.end()
     if gradients.of_thread.active is not None:

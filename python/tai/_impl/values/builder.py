@@ -17,7 +17,8 @@ Type = Any
 Region = Any
 Block = Any
 
-# Numbers of the predicates of `arith.cmpf` and `arith.cmpi`.
+# For each comparison of ordered floats or integers, the number of its predicate in `arith.cmpf` and
+# `arith.cmpi`.
 ORDERED = {"==": 1, ">": 2, ">=": 3, "<": 4, "<=": 5, "!=": 6}
 UNORDERED = {"==": 8, ">": 9, ">=": 10, "<": 11, "<=": 12, "!=": 13}
 IS_NAN = 14
@@ -27,10 +28,10 @@ UNSIGNED = {"==": 0, "!=": 1, "<": 6, "<=": 7, ">": 8, ">=": 9}
 # `TAI_FAIL_INDEX` of the ABI.
 FAIL_INDEX = 2
 
-# In `static_position`, the place of an index that is an operand.
+# In `static_position`, the number that stands for an index which is an operand.
 _DYNAMIC = -(2**63)
 
-# The combinations of `memref.atomic_rmw`, by number.
+# The combinations of `memref.atomic_rmw`, by their numbers.
 _ARRAY_ATOMICS = {
     "addf": 0, "addi": 1, "andi": 2, "assign": 3, "maximumf": 4, "maxnumf": 5, "maxs": 6, "maxu": 7,
     "minimumf": 8, "minnumf": 9, "mins": 10, "minu": 11, "mulf": 12, "muli": 13, "ori": 14,
@@ -73,7 +74,7 @@ class Builder:
         return self._attribute(f"{number} : i64")
 
     def _sizes(self, *sizes: int) -> Any:
-        """The number of operands of each group."""
+        """Makes the attribute with the number of operands in each group of an op."""
         return self._attribute(f"array<i32: {', '.join(map(str, sizes))}>")
 
     def _position(self, position: Sequence[int]) -> dict[str, Any]:
@@ -98,7 +99,7 @@ class Builder:
         return self._op("arith.select", [condition, a, b], [type_])
 
     def from_elements(self, elements: Sequence[Handle], type_: Type) -> Handle:
-        """The vector or matrix of these components, row by row."""
+        """Makes the vector or matrix of these components, row by row."""
         return self._op("vector.from_elements", elements, [type_])
 
     def extract(self, matrix: Handle, position: Sequence[int], type_: Type) -> Handle:
@@ -108,7 +109,7 @@ class Builder:
     def insert(
         self, value: Handle, matrix: Handle, position: Sequence[int], type_: Type
     ) -> Handle:
-        """The matrix with another component."""
+        """Makes a copy of the matrix with one component replaced."""
         return self._op("vector.insert", [value, matrix], [type_], self._position(position))
 
     def extract_at(self, vector: Handle, index: Handle, type_: Type) -> Handle:
@@ -116,12 +117,12 @@ class Builder:
         return self._op("vector.extract", [vector, index], [type_], self._position([_DYNAMIC]))
 
     def insert_at(self, value: Handle, vector: Handle, index: Handle, type_: Type) -> Handle:
-        """The vector with another component at such an index."""
+        """Makes a copy of the vector with the component at a run-time index replaced."""
         operands = [value, vector, index]
         return self._op("vector.insert", operands, [type_], self._position([_DYNAMIC]))
 
     def broadcast(self, value: Handle, type_: Type) -> Handle:
-        """The matrix of which all components are the number."""
+        """Makes the matrix all of whose components are the number."""
         return self._op("vector.broadcast", [value], [type_])
 
     # Vectors and matrices
@@ -131,7 +132,7 @@ class Builder:
         return self._op("tai.dot", [a, b], [type_])
 
     def cross(self, a: Handle, b: Handle, type_: Type) -> Handle:
-        """The cross product of 3-vectors."""
+        """Emits the cross product of 3-vectors."""
         return self._op("tai.cross", [a, b], [type_])
 
     def outer(self, a: Handle, b: Handle, type_: Type) -> Handle:
@@ -139,11 +140,11 @@ class Builder:
         return self._op("tai.outer", [a, b], [type_])
 
     def matmul(self, a: Handle, b: Handle, type_: Type) -> Handle:
-        """A matrix times a matrix or vector."""
+        """Emits the product of a matrix and a matrix or vector."""
         return self._op("tai.matmul", [a, b], [type_])
 
     def solve(self, a: Handle, b: Handle, type_: Type) -> Handle:
-        """The x with a x = b."""
+        """Emits the solution x of a x = b."""
         return self._op("tai.solve", [a, b], [type_])
 
     def transpose(self, a: Handle, type_: Type) -> Handle:
@@ -159,15 +160,15 @@ class Builder:
         return self._op("tai.determinant", [a], [type_])
 
     def trace(self, a: Handle, type_: Type) -> Handle:
-        """The sum of the diagonal."""
+        """Emits the sum of the diagonal of a matrix."""
         return self._op("tai.trace", [a], [type_])
 
     def sum(self, a: Handle, type_: Type) -> Handle:
-        """The sum of all components."""
+        """Emits the sum of all components of a matrix."""
         return self._op("tai.sum", [a], [type_])
 
     def stop_gradient(self, a: Handle, type_: Type) -> Handle:
-        """The number or matrix, which gradients take for a constant."""
+        """Emits a number or matrix that gradients take for a constant."""
         return self._op("tai.stop_gradient", [a], [type_])
 
     def norm(self, vector: Handle, type_: Type, fast: bool) -> Handle:
@@ -176,7 +177,7 @@ class Builder:
         return self._op("tai.norm", [vector], [type_], attributes)
 
     def decompose(self, name: str, matrix: Handle, types: Sequence[Type]) -> Sequence[Handle]:
-        """`polar`, `svd` or `sym_eig`: the factors of a matrix."""
+        """Emits the factors of a matrix: `polar`, `svd` or `sym_eig`."""
         return self._op(f"tai.{name}", [matrix], types)
 
     def random(self, stream: int, type_: Type) -> Handle:
@@ -196,7 +197,7 @@ class Builder:
     def if_(
         self, condition: Handle, types: Sequence[Type], then: Region, orelse: Region
     ) -> Any:
-        """A branch; gives nothing, one handle, or one for each type."""
+        """Emits a branch; returns nothing, one handle, or one handle for each type."""
         return self._op("scf.if", [condition], types, None, [then, orelse])
 
     def for_(
@@ -244,7 +245,7 @@ class Builder:
     def load(
         self, field: str, indices: Sequence[Handle], component: Sequence[Handle], type_: Type
     ) -> Handle:
-        """Reads an element of a field, or a component of it."""
+        """Emits a load of an element of a field, or of a component of it."""
         return self._op(
             "tai.load",
             [*indices, *component],
@@ -258,7 +259,7 @@ class Builder:
     def store(
         self, field: str, value: Handle, indices: Sequence[Handle], component: Sequence[Handle]
     ) -> None:
-        """Writes an element of a field, or a component of it."""
+        """Emits a store to an element of a field, or to a component of it."""
         self._op(
             "tai.store",
             [value, *indices, *component],
@@ -298,11 +299,11 @@ class Builder:
         self._cell("tai.activate", field, level, indices, [])
 
     def deactivate(self, field: str, level: int, indices: Sequence[Handle]) -> None:
-        """Makes a cell inactive, or a list empty."""
+        """Emits the deactivation of a cell, or of all cells of a list."""
         self._cell("tai.deactivate", field, level, indices, [])
 
     def is_active(self, field: str, level: int, indices: Sequence[Handle]) -> Handle:
-        """Whether a cell is active, as an `i1`."""
+        """Emits the test whether a cell is active, as an `i1`."""
         return self._cell("tai.is_active", field, level, indices, [self.type("i1")])
 
     def append(self, field: str, value: Handle, indices: Sequence[Handle]) -> Handle:
@@ -311,14 +312,14 @@ class Builder:
         return self._op("tai.append", [value, *indices], [self.type("index")], attributes)
 
     def length(self, field: str, indices: Sequence[Handle]) -> Handle:
-        """The number of cells of a list, as an index."""
+        """Emits the number of cells of a list, as an index."""
         attributes = {"field": self._symbol(field)}
         return self._op("tai.length", indices, [self.type("index")], attributes)
 
     # Arrays of the caller
 
     def extent(self, array: Handle, dimension: Handle) -> Handle:
-        """The length of an array along a dimension, as an index."""
+        """Emits the length of an array along a dimension, as an index."""
         return self._op("memref.dim", [array, dimension], [self.type("index")])
 
     def load_from_array(self, array: Handle, indices: Sequence[Handle], type_: Type) -> Handle:
@@ -351,7 +352,7 @@ class Builder:
         self._op("tai.assert", [condition, *values], [], attributes)
 
     def print(self, format: str, values: Sequence[Handle], ends_line: bool = True) -> None:
-        """Prints a text; `{}` in it are the values."""
+        """Emits the printing of a text, in which `{}` stands for the values."""
         attributes = {"format": self._string(format)}
         if not ends_line:
             attributes["no_newline"] = self._attribute("unit")
@@ -368,7 +369,7 @@ class Builder:
         gradients: Sequence[int] = (), conventions: dict[str, str] | None = None,
         modes: str = "", checks_updates: bool = False,
     ) -> None:  # fmt: skip
-        """The kernel with a body that was built.
+        """Makes the op of a kernel from a body that was built.
 
         Args:
             symbol: its name in the module.

@@ -41,12 +41,12 @@ def csqrt(z: Any) -> Any:
 
 
 def cexp(z: Any) -> Any:
-    """e to the power of z."""
+    """e to the power of the complex number z."""
     return ops.exp(z[0]) * Matrix([ops.cos(z[1]), ops.sin(z[1])])
 
 
 def clog(z: Any) -> Any:
-    """The principal logarithm: its imaginary part is between -π and π."""
+    """The principal logarithm of a complex number: its imaginary part is between -π and π."""
     return Matrix([ops.log(z.norm()), ops.atan2(z[1], z[0])])
 
 

@@ -43,7 +43,7 @@ def check_domain(emitter: Emitter, name: str, x: Value) -> None:
 
 
 def check_power(emitter: Emitter, base: Value, exponent: Value) -> None:
-    """The same of a power: negative numbers have whole ones only."""
+    """Checks the domain of a power: negative numbers have only whole powers."""
     if not state.options.debug:
         return
     pairs = zip(base.scalars(), exponent.scalars(), strict=True) if base.shape else [

@@ -44,14 +44,14 @@ def eig(a: Any, dt: Any = None) -> Any:
     leans = half >= 0
     first = _choose(leans, [far, a10], [a01, far])
     second = _choose(leans, [a01, -far], [-far, a10])
-    # For far = 0, both rows are zero or have one entry, and an axis is an eigenvector.
+    # If far = 0, both rows are zero or have one entry, and an axis is an eigenvector.
     apart = far > 0
     axes = [one, zero], [zero, one]
     first = _choose(apart, first, _choose(a10 == 0, *axes))
     second = _choose(apart, second, _choose(a01 != 0, *axes))
     first, second = (_normalized(emitter, parts) for parts in (first, second))
 
-    # A pair of complex ones: (half ± i root, a10).
+    # The eigenvectors are a pair of complex vectors: (half ± i root, a10).
     pair = _normalized(emitter, [half, root, a10])
     columns = []
     for vector, sign in ((first, 1.0), (second, -1.0)):

@@ -21,7 +21,7 @@ from .integers import check_shift, check_signs, integer_power, operand_beside, s
 from .misuse import describe_misuse, misuse_hint, name_of
 from .value import MatrixValue, Value
 
-# float operation, signed integer operation, unsigned integer operation
+# For each operator: the operation on floats, on signed integers, and on unsigned integers
 _ARITHMETIC = {
     "+": ("arith.addf", "arith.addi", "arith.addi"),
     "-": ("arith.subf", "arith.subi", "arith.subi"),
@@ -60,27 +60,27 @@ class Emitter:
         self.builder = builder
         # The compiler's way to call a function that Python code calls while it compiles.
         self.call: Any = None
-        # Its way to make a value of a struct type from members.
+        # The function that makes a value of a struct type from its members.
         self.make_struct: Any = None
-        # Says that a float is stored in a whole number.
+        # The function that warns of a float that is stored in an integer.
         self.warn_of_fraction: Any = None
-        # Whether squares of norms may over- and underflow.
+        # Whether norms may be computed by squares that over- and underflow.
         self.fast_norms = False
         self.entry: Any = None
         self._types: dict[tuple, Any] = {}
         self._constants: dict[tuple, Any] = {}
         self.index_type = builder.type("index")
         self.num_random = 0
-        # The fields that the kernel reads or writes.
+        # The fields that the kernel reads or writes, collected for its declarations.
         self.fields: set[Any] = set()
         # Places that it stores to, and places that it changes by atomics.
         self.stored: set[Any] = set()
         self.accumulated: set[Any] = set()
-        # The places whose loads are constants to gradients, by identity.
+        # The fields whose loaded values are constants to gradients, by identity.
         self.stopped: set[int] = set()
         # The arms of selects that are being emitted: conditions, and which way they must go.
         self.arms: list[tuple[Any, bool]] = []
-        # The worlds of a kernel of a batch, see `frontend.worlds`.
+        # The worlds of the batch that the kernel runs for; see `frontend.worlds`.
         self.worlds: Any = None
 
     # Types
@@ -135,7 +135,7 @@ class Emitter:
         return found
 
     def index(self, number: int) -> Any:
-        """An index constant, as a handle."""
+        """Returns an index constant, as a handle."""
         return self._constant(self.index_type, ("index", ()), int(number))
 
     def as_value(self, thing: Any, dt: DataType | None = None) -> Any:
@@ -224,7 +224,7 @@ class Emitter:
         return self.cast(value, dt)
 
     def matrix(self, scalars: list[Value], dt: DataType, shape: tuple[int, ...]) -> MatrixValue:
-        """A matrix of components of type `dt`. Integer ones stay apart."""
+        """Makes a matrix of components of type `dt`. Integer components stay separate values."""
         if dt.is_float:
             first = scalars[0].const
             if first is not None and all(repr(s.const) == repr(first) for s in scalars):
@@ -248,7 +248,7 @@ class Emitter:
     def matrix_op(
         self, op: Callable[..., Any], operands: list[Value], dt: DataType, shape: tuple[int, ...]
     ) -> MatrixValue:
-        """The same for a vector or matrix."""
+        """Emits an operation on floats for a vector or matrix."""
         handle = op(*(v.handle for v in operands), self.type_of(dt, shape))
         return MatrixValue(self, handle, dt, shape)
 
@@ -269,13 +269,13 @@ class Emitter:
         return value
 
     def compare_by(self, predicate: int, a: Value, b: Value) -> Any:
-        """Whether a predicate of the builder holds between values of one type."""
+        """Emits the comparison by a predicate of the builder between values of one type."""
         compare = self.builder.compare_floats if a.dt.is_float else self.builder.compare_integers
         handle = compare(predicate, a.handle, b.handle, self.type_of(u1, a.shape))
         return self.value(handle, u1, a.shape)
 
     def extract(self, matrix: MatrixValue, component: int) -> Value:
-        """One component, counted row by row."""
+        """Emits the extraction of one component, counted row by row."""
         if matrix.elements is not None:
             return matrix.elements[component]
         position = (component,) if len(matrix.shape) == 1 else divmod(component, matrix.shape[1])
@@ -298,7 +298,7 @@ class Emitter:
         return self.matrix(scalars, matrix.dt, matrix.shape)
 
     def subscript_matrix(self, matrix: MatrixValue, key: Any) -> Any:
-        """`matrix[key]`: a component, a row, or a part by slices."""
+        """Evaluates `matrix[key]`: a component, a row, or a part by slices."""
         component = self.component_of(matrix, key)
         if isinstance(component, list):
             parts = [self._component(matrix, c) for c in component[0]]
@@ -312,7 +312,7 @@ class Emitter:
         return positions.read(self, matrix, positions.flat(self, component, matrix.shape))
 
     def component_of(self, matrix: Any, key: Any) -> Any:
-        """Finds the component that `key` names.
+        """Finds the component of a matrix that `key` names.
 
         Returns:
             Its number, a value that is its index, the pair of its row and column of which one is a
@@ -454,7 +454,7 @@ class Emitter:
         return self.cast(value, computed_in(value.dt))
 
     def to_bool(self, value: Any) -> Value:
-        """The truth of a number."""
+        """Returns the truth value of a number."""
         value = self.as_value(value)
         if value.shape:
             raise TaiTypeError(
@@ -463,7 +463,7 @@ class Emitter:
         return self.cast(value, u1)
 
     def to_index(self, value: Any) -> Any:
-        """A whole number as an `index` handle."""
+        """Returns a whole number as an `index` handle."""
         if not isinstance(value, Value):
             if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
                 return self.index(int(value))
@@ -535,7 +535,7 @@ class Emitter:
         return self.binary("*", self.unary("log", x), 1.0 / math.log(2.0))
 
     def binary(self, op: str, a: Any, b: Any) -> Any:
-        """`a op b` in the type that Taichi gives it."""
+        """Emits `a op b` in the type that Taichi gives the result."""
         if not isinstance(a, Value) and not isinstance(b, Value):
             return compute(op, a, b)
         if op == "@":
@@ -549,7 +549,7 @@ class Emitter:
             dt = computed_in(dtypes.default_fp())
         if dt.is_bool and op not in "&|^" and op not in ("max", "min"):
             dt = state.options.default_ip
-        # A constant NaN is a number as little as any other.
+        # A constant NaN counts as a number that is not known.
         is_constant = [v.const is not None and v.const == v.const for v in (a, b)]
         if op in ("<<", ">>") and not dt.is_float:
             check_shift(op, a, b, dt)
@@ -626,8 +626,8 @@ class Emitter:
         return self.select(wrong, self.binary("-", quotient, 1), quotient)
 
     def _divide_floats(self, op: str, a: Value, b: Value) -> Value:
-        """The same of floats. A quotient just below a whole number is rounded to it; the rest
-        tells, which is exact if it is rounded once.
+        """Emits the floor division of floats. A quotient just below a whole number is rounded up to
+        it, which the remainder shows: it is exact if it is rounded once.
         """
         whole = self.unary("floor", self.binary("/", a, b))
         rest = self.elementwise("math.fma", [self.unary("neg", whole), b, a], a.dt)
@@ -640,7 +640,7 @@ class Emitter:
         return self.select(wrong, self.binary("-", whole, 1.0), whole)
 
     def power(self, a: Any, b: Any) -> Any:
-        """`a ** b`: whole powers by multiplication."""
+        """Emits `a ** b`: whole powers by multiplication."""
         exponent = b.const if isinstance(b, Value) else b
         if isinstance(exponent, (int, np.integer)) and not isinstance(exponent, bool):
             return self._whole_power(self.to_computed(self.as_value(a)), int(exponent))
@@ -665,8 +665,8 @@ class Emitter:
                     "a whole number has no negative powers among whole numbers",
                     "use a float base: float(x) ** -1",
                 )
-            # Not 1 / base ** -exponent: the adjoint of that power leaves the range of floats where
-            # the derivative does not, for x ** -2 at 1e-100.
+            # The power is not computed as 1 / base ** -exponent: the adjoint of that power leaves
+            # the range of floats where the derivative does not, for x ** -2 at 1e-100.
             return self._whole_power(self.binary("/", 1.0, base), -exponent)
         result = None
         while exponent:

@@ -48,7 +48,7 @@ def shift(emitter: Emitter, op: str, name: str, a: Value, b: Value) -> Value:
 
 
 def _assert_not_negative(emitter: Emitter, value: Value, message: str) -> None:
-    """In debug mode, ends the program where a number is negative."""
+    """In debug mode, emits a check that ends the program if a number is negative."""
     emitter.builder.assert_(emitter.compare(">=", value, 0).handle, message, [value.handle])
 
 
@@ -84,7 +84,7 @@ def _integer_power(emitter: Emitter, a: Value, b: Value) -> Any:
     made = Value(emitter, found[0], a.dt)
     if b.dt.kind != "i":
         return made
-    # 1 / a ** -b without its fraction.
+    # Emits 1 / a ** -b without its fraction, for a negative exponent.
     odd = emitter.compare("!=", emitter.binary("&", b, 1), 0)
     inverse = emitter.select(emitter.compare("==", a, one), one, emitter.constant(0, a.dt))
     if a.dt.kind == "i":

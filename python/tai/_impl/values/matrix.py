@@ -30,7 +30,7 @@ def swizzle(name: str, n: int) -> list[int] | None:
 
 
 class Matrix:
-    """A small matrix.
+    """A small matrix in Python, outside of kernels.
 
     In Python it holds a NumPy array. In a kernel, `ti.Matrix([...])` makes a value of the
     kernel instead, with the same operators and methods.
@@ -39,7 +39,7 @@ class Matrix:
     __slots__ = ("_array",)
     __array_priority__ = 1000.0
     is_matrix = True
-    # The attribute that a template argument is compared by.
+    # The name of the attribute by which template arguments of this class are compared.
     _tai_content = "_array"
 
     def __new__(cls, arr: Any = None, dt: Any = None, *args: Any, **kwargs: Any) -> Any:
@@ -225,11 +225,11 @@ class Matrix:
         return Matrix._wrap(np.ascontiguousarray(array))
 
     def determinant(self) -> float:
-        """The determinant of a square matrix."""
+        """Returns the determinant of a square matrix."""
         return float(np.linalg.det(self._square()))
 
     def inverse(self) -> Any:
-        """The inverse of a square matrix."""
+        """Returns the inverse of a square matrix."""
         return Matrix._wrap(np.linalg.inv(self._square()).astype(self._array.dtype))
 
     def _square(self) -> np.ndarray:
@@ -238,11 +238,11 @@ class Matrix:
         return self._array
 
     def trace(self) -> Any:
-        """The sum of the diagonal."""
+        """Returns the sum of the diagonal of the matrix."""
         return np.trace(self._square()).item()
 
     def sum(self) -> Any:
-        """The sum of all components."""
+        """Returns the sum of all components."""
         return self._array.sum(dtype=self._array.dtype).item()
 
     def max(self) -> Any:
@@ -254,11 +254,11 @@ class Matrix:
         return self._array.min().item()
 
     def any(self) -> bool:
-        """Whether a component is not zero."""
+        """Whether any component of the matrix is not zero."""
         return bool(self._array.any())
 
     def all(self) -> bool:
-        """Whether no component is zero."""
+        """Whether no component of the matrix is zero."""
         return bool(self._array.all())
 
     def norm_sqr(self) -> Any:
@@ -276,13 +276,13 @@ class Matrix:
         return 1 / self.norm(eps)
 
     def normalized(self, eps: float = 0) -> Any:
-        """a / (‖a‖ + eps), and zero for a zero vector."""
+        """Returns a / (‖a‖ + eps), and zero for a zero vector."""
         length = self.norm() + eps
         a: Any = self  # with operators, which are installed below
         return a / length if length else a * 0.0
 
     def cast(self, dtype: Any) -> Any:
-        """The matrix in another type."""
+        """Returns the matrix with components of another type."""
         return Matrix._wrap(_converted(self._array, dtypes.to_dtype(dtype)))
 
     def fill(self, value: Any) -> None:
@@ -292,43 +292,44 @@ class Matrix:
 
     @staticmethod
     def zero(dt: Any, n: int, m: int | None = None) -> Any:
-        """A vector of n, or a matrix of n×m zeros."""
+        """Returns a vector of n, or a matrix of n×m zeros."""
         return _full(0, dt, n, m)
 
     @staticmethod
     def one(dt: Any, n: int, m: int | None = None) -> Any:
-        """A vector of n, or a matrix of n×m ones."""
+        """Returns a vector of n, or a matrix of n×m ones."""
         return _full(1, dt, n, m)
 
     @staticmethod
     def identity(dt: Any, n: int) -> Any:
-        """The identity of size n."""
+        """Returns the identity matrix of size n."""
         return _from_rows([[int(r == c) for c in range(n)] for r in range(n)], dt)
 
     @staticmethod
     def unit(n: int, i: int, dt: Any = None) -> Any:
-        """The i-th unit vector of n components."""
+        """Returns the i-th unit vector of n components."""
         if not 0 <= i < n:
             raise TaiTypeError(f"a vector of {n} components has no unit vector {i}")
         return _from_rows([int(r == i) for r in range(n)], dt if dt is not None else int)
 
     @staticmethod
     def diag(dim: int, val: Any) -> Any:
-        """`val` times the identity of size `dim`."""
+        """Returns `val` times the identity matrix of size `dim`."""
         return Matrix([[val if r == c else 0 * val for c in range(dim)] for r in range(dim)])
 
     @staticmethod
     def rows(rows: Any) -> Any:
-        """The matrix of these row vectors."""
+        """Returns the matrix with these row vectors."""
         return Matrix([[row[c] for c in range(_length(row))] for row in rows])
 
     @staticmethod
     def cols(cols: Any) -> Any:
-        """The matrix of these column vectors."""
+        """Returns the matrix with these column vectors."""
         cols = list(cols)
         return Matrix([[col[r] for col in cols] for r in range(_length(cols[0]))])
 
-    # Fields and arrays of such elements; `fields.make` and `fields.arrays` make them.
+    # The methods that make fields and arrays of such elements are set by `fields.make` and
+    # `fields.arrays`.
     field: ClassVar[Callable[..., Any]]
     ndarray: ClassVar[Callable[..., Any]]
 
@@ -442,7 +443,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-# Functions of NumPy that make floats of whole numbers.
+# Functions of NumPy whose result for whole numbers is a float.
 _TO_FLOATS = {np.true_divide, np.arctan2, np.hypot, np.copysign}
 
 

@@ -8,7 +8,7 @@ from ..base.dtypes import DataType
 from ..base.elements import Elements
 from .value import Value
 
-# Names of the classes of values in Python's own messages.
+# The names that the classes of kernel values have in Python's own messages.
 KINDS = {
     "ArrayArgument": "array",
     "FormattedText": "text",
@@ -47,7 +47,7 @@ def said_as(thing: Any) -> str:
 
 
 def describe_misuse(thing: Any) -> str:
-    """Why `thing` is no number."""
+    """Explains why `thing` is not a number."""
     if isinstance(thing, Elements):
         return f"{thing._described()} stands where a number is needed"
     if isinstance(thing, DataType):

@@ -15,7 +15,7 @@ def _floats(emitter: Any, a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def atan2(emitter: Any, a: Any, b: Any) -> Any:
-    """The angle of the point (b, a)."""
+    """Emits the angle of the point (b, a)."""
     a, b = _floats(emitter, a, b)
     if a.const == 0 and b.const == 0:  # MLIR's folder makes NaN of it
         return emitter.splat(math.atan2(a.const, b.const), a.dt, a.shape)
@@ -23,13 +23,13 @@ def atan2(emitter: Any, a: Any, b: Any) -> Any:
 
 
 def copysign(emitter: Any, a: Any, b: Any) -> Any:
-    """|a| with the sign of b."""
+    """Emits |a| with the sign of b."""
     a, b = _floats(emitter, a, b)
     return emitter.elementwise("math.copysign", [a, b], a.dt)
 
 
 def hypot(emitter: Any, a: Any, b: Any) -> Any:
-    """The norm of (a, b), component by component."""
+    """Emits the norm of (a, b), component by component."""
     a, b = _floats(emitter, a, b)
     if a.shape:
         pairs = zip(a.scalars(), b.scalars(), strict=True)

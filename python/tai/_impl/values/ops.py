@@ -19,7 +19,7 @@ from .value import stop_gradient
 
 
 def _needs_emitter(*things: Any) -> bool:
-    """Whether the result is a value of the kernel being compiled."""
+    """Whether the result is a value of the kernel that is being compiled."""
     if state.emitter is None:
         return False
     return any(hasattr(t, "emit_operand") for t in things)
@@ -50,7 +50,8 @@ def _unary(name: str, scalar: Callable[[float], float], doc: str) -> Callable[[A
 def _or_nan(
     function: Callable[[float], float], poles: dict[float, float] | None = None, odd: bool = False
 ) -> Callable[[float], float]:
-    """As in a kernel, a number outside of the domain gives NaN or infinity, not an exception.
+    """Evaluates a function as in a kernel: outside of its domain, it gives NaN or infinity instead
+    of an exception.
 
     Args:
         function: of Python.
@@ -180,12 +181,12 @@ min = _fold("min", builtins.min, "The least of its arguments, componentwise.")
 
 
 def pow(x: Any, y: Any) -> Any:
-    """x to the power of y."""
+    """Returns x to the power of y."""
     return state.emitter.power(x, y) if _needs_emitter(x, y) else x**y
 
 
 def atan2(y: Any, x: Any) -> Any:
-    """The angle of the point (x, y)."""
+    """Returns the angle of the point (x, y)."""
     if _needs_emitter(x, y):
         return of_two.atan2(state.emitter, y, x)
     if isinstance(x, Matrix) or isinstance(y, Matrix):
@@ -212,7 +213,7 @@ def copysign(x: Any, y: Any) -> Any:
 
 
 def select(condition: Any, x: Any, y: Any) -> Any:
-    """x where the condition holds, else y; both are computed."""
+    """Returns x where the condition holds, else y; both are computed."""
     if _needs_emitter(condition, x, y):
         return state.emitter.select(condition, x, y)
     if any(isinstance(t, Matrix) for t in (condition, x, y)):
@@ -222,7 +223,7 @@ def select(condition: Any, x: Any, y: Any) -> Any:
 
 
 def bit_cast(x: Any, dtype: Any) -> Any:
-    """The same bits in another type of the same width."""
+    """Returns the bits of a number as another type of the same width."""
     return _in_kernel("bit_cast").bit_cast(x, dtypes.to_dtype(dtype))
 
 
@@ -248,7 +249,7 @@ def zero(x: Any) -> Any:
 
 
 def one(x: Any) -> Any:
-    """A one of the type of x."""
+    """Returns a one of the type of x."""
     return zero(x) + 1
 
 
@@ -258,7 +259,7 @@ def logical_not(x: Any) -> Any:
 
 
 def logical_and(a: Any, b: Any) -> Any:
-    """Whether both are true; both are computed."""
+    """Returns whether both numbers are true; both are computed."""
     if _needs_emitter(a, b):
         emitter = state.emitter
         return emitter.binary("&", emitter.to_bool(a), emitter.to_bool(b))
@@ -266,7 +267,7 @@ def logical_and(a: Any, b: Any) -> Any:
 
 
 def logical_or(a: Any, b: Any) -> Any:
-    """Whether one is true; both are computed."""
+    """Returns whether one of two numbers is true; both are computed."""
     if _needs_emitter(a, b):
         emitter = state.emitter
         return emitter.binary("|", emitter.to_bool(a), emitter.to_bool(b))
@@ -292,7 +293,7 @@ def raw_div(a: Any, b: Any) -> Any:
 
 
 def count_bits(name: str, x: Any) -> Any:
-    """The operations "popcnt" and "clz", in the type of x."""
+    """Emits the operation "popcnt" or "clz", whose result has the type of x."""
     emitter = _in_kernel(f"math.{name}")
     x = emitter.as_value(x)
     if x.dt.is_float or x.dt.is_bool:
@@ -312,7 +313,7 @@ def random(dtype: Any = float) -> Any:
 
 
 def randn(dtype: Any = None) -> Any:
-    """A random number of the standard normal distribution."""
+    """Returns a random number of the standard normal distribution."""
     emitter = _in_kernel("randn")
     dt = emitter.to_dtype(float if dtype is None else dtype)
     u1 = 1.0 - emitter.random(dt)  # in (0, 1]: the logarithm is finite
@@ -321,7 +322,7 @@ def randn(dtype: Any = None) -> Any:
 
 
 def stop_grad(x: Any) -> Any:
-    """A number or matrix that gradients take for a constant.
+    """Returns a number or matrix that gradients take for a constant.
 
     Given a field, as a statement: reads of the field in this block are constants.
     """
@@ -354,7 +355,7 @@ def sym_eig(a: Any, dt: Any = None) -> Any:
 
 
 def solve(a: Any, b: Any, dt: Any = None) -> Any:
-    """The x with A x = b."""
+    """Returns the solution x of A x = b."""
     emitter = _in_kernel("solve")
     a, b = emitter.as_value(a), emitter.as_value(b)
     if len(a.shape) != 2 or a.shape[0] != a.shape[1] or b.shape != a.shape[:1]:
@@ -398,7 +399,7 @@ class ndrange:  # noqa: N801
 
 
 class Grouped:
-    """The indices of a loop as vectors; see `grouped`."""
+    """The indices of a loop as one vector for each iteration; see `grouped`."""
 
     def __init__(self, inner: Any):
         self.inner = inner
@@ -411,12 +412,12 @@ class Grouped:
 
 
 def grouped(inner: Any) -> Grouped:
-    """Loops with all indices in one vector: `for I in ti.grouped(x)`."""
+    """Makes a loop give all its indices as one vector: `for I in ti.grouped(x)`."""
     return Grouped(inner)
 
 
 def static(*things: Any) -> Any:
-    """Evaluates at compile time: unrolls a loop, or chooses a branch."""
+    """Evaluates its argument at compile time: unrolls a loop, or chooses a branch."""
     return things[0] if len(things) == 1 else things
 
 
@@ -426,7 +427,7 @@ def static_print(*things: Any, **options: Any) -> None:
 
 
 def static_assert(condition: Any, message: str = "") -> None:
-    """Fails while the kernel is compiled unless the condition holds."""
+    """Fails at compile time unless the condition holds."""
     if not condition:
         raise TaiTypeError(
             message or "static assertion failed", "ti.static_assert is judged at compile time"
@@ -448,11 +449,11 @@ def loop_config(**options: Any) -> None:
 
 
 def block_local(*fields: Any) -> None:
-    """A hint for GPUs; without effect here."""
+    """A hint of Taichi for GPUs to keep fields in shared memory; it has no effect here."""
 
 
 def cache_read_only(*fields: Any) -> None:
-    """A hint for GPUs; without effect here."""
+    """A hint of Taichi for GPUs to read fields through the cache; it has no effect here."""
 
 
 def no_activate(*nodes: Any) -> None:

@@ -29,7 +29,8 @@ def flat(emitter: Emitter, component: Any, shape: tuple[int, ...]) -> Any:
 
 
 def in_range(emitter: Emitter, component: Any, matrix: Any) -> Any:
-    """A component of a value or variable; `ti.init(bounds=…)` decides about others.
+    """Returns a component number that is in range; `ti.init(bounds=…)` decides what happens to
+    others.
 
     Elements of fields and of arrays are checked as their indices are.
     """
@@ -63,7 +64,7 @@ def _is_below(emitter: Emitter, index: Value, count: int) -> tuple[Value, Value]
 
 
 def read(emitter: Emitter, matrix: MatrixValue, component: Value) -> Any:
-    """The component of that number; out of range, the last one."""
+    """Reads the component of a matrix by its number; out of range, the last component."""
     if math.prod(matrix.shape) > _MAX_SELECTS:
         vector, index, _ = _locate(emitter, matrix, component)
         return _extract(emitter, vector, index, matrix)

@@ -11,20 +11,20 @@ from .ops import cos, sin
 
 
 def rotation2d(angle: Any) -> Any:
-    """The matrix that turns by an angle, counter-clockwise."""
+    """Returns the 2×2 matrix that turns by an angle, counter-clockwise."""
     c, s = cos(angle), sin(angle)
     return Matrix([[c, -s], [s, c]])
 
 
 def translate(dx: Any, dy: Any, dz: Any) -> Any:
-    """The 4 x 4 matrix that moves column vectors."""
+    """Returns the 4×4 matrix that moves column vectors."""
     return Matrix(
         [[1.0, 0.0, 0.0, dx], [0.0, 1.0, 0.0, dy], [0.0, 0.0, 1.0, dz], [0.0, 0.0, 0.0, 1.0]]
     )
 
 
 def scale(sx: Any, sy: Any, sz: Any) -> Any:
-    """The 4 x 4 matrix that scales along the axes."""
+    """Returns the 4×4 matrix that scales along the axes."""
     return Matrix(
         [[sx, 0.0, 0.0, 0.0], [0.0, sy, 0.0, 0.0], [0.0, 0.0, sz, 0.0], [0.0, 0.0, 0.0, 1.0]]
     )
@@ -35,7 +35,7 @@ def _affine(rows: list[list[Any]]) -> Any:
 
 
 def rot_by_axis(axis: Any, angle: Any) -> Any:
-    """Turns about an axis of any length."""
+    """Returns the 4×4 matrix that turns about an axis of any length."""
     x, y, z = (axis.normalized()[i] for i in range(3))
     c, s = cos(angle), sin(angle)
     d = 1.0 - c

@@ -84,19 +84,19 @@ class MatrixType:
         return Matrix(rows, self.dtype)
 
     def field(self, shape: Any = None, **options: Any) -> Any:
-        """A field of such elements; for the arguments see `ti.field`."""
+        """Makes a field of such elements; for the arguments see `ti.field`."""
         if self.columns is None:
             return Vector.field(self.n, self.dtype, shape, **options)
         return Matrix.field(self.n, self.columns, self.dtype, shape, **options)
 
     def ndarray(self, shape: Any, needs_grad: bool = False) -> Any:
-        """An array of such elements; see `ti.ndarray`."""
+        """Makes an array of such elements; see `ti.ndarray`."""
         if self.columns is None:
             return Vector.ndarray(self.n, self.dtype, shape, needs_grad)
         return Matrix.ndarray(self.n, self.columns, self.dtype, shape, needs_grad)
 
     def convert(self, emitter: Any, value: Any) -> Any:
-        """A value of a kernel in this type."""
+        """Converts a value of a kernel to this type."""
         value = emitter.as_value(value)
         if value.shape != self.shape:
             raise TaiTypeError(f"expects {self!r}, but got a {value.kind_name}")
@@ -109,7 +109,7 @@ class MatrixType:
 
 
 class ScalarType:
-    """A scalar type where a type with `convert` is expected."""
+    """Wraps a scalar type for places that expect a type with `convert`."""
 
     shape: tuple[int, ...] = ()
 
@@ -123,7 +123,7 @@ class ScalarType:
         return found
 
     def convert(self, emitter: Any, value: Any) -> Any:
-        """A value of a kernel in this type."""
+        """Converts a value of a kernel to this type."""
         emitter.check_fraction(
             value, self.dtype, f"a result, parameter or member of type {self.dtype}"
         )
@@ -190,24 +190,24 @@ ndarray = NdarrayType
 
 
 def vector(n: int, dtype: Any) -> MatrixType:
-    """The type of vectors of n components."""
+    """Returns the type of vectors of n components."""
     return MatrixType(n, None, dtype)
 
 
 def matrix(n: int, m: int, dtype: Any) -> MatrixType:
-    """The type of n×m matrices."""
+    """Returns the type of n×m matrices."""
     return MatrixType(n, m, dtype)
 
 
 def refuse_quant(what: str) -> NoReturn:
-    """Says that there are no types of a few bits."""
+    """Raises an error, because there are no types of a few bits."""
     raise TaiRuntimeError(
         f"{what}: types of a few bits are not built in", "use ti.i8, ti.i16, ti.u8 or ti.f16"
     )
 
 
 class _Quant:
-    """`ti.types.quant`: every use is refused."""
+    """Stands for `ti.types.quant`, of which every use is refused."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -219,7 +219,7 @@ quant = _Quant()
 
 
 class BitpackedFields:
-    """Fields of a few bits side by side: not built in."""
+    """Refuses fields of a few bits side by side, which are not built in."""
 
     def __init__(self, max_num_bits: int = 32):
         refuse_quant("ti.BitpackedFields")

@@ -22,7 +22,7 @@ class NoAttribute(TaiTypeError, AttributeError):
 
 
 class Value:
-    """A number that the kernel computes.
+    """A number that a kernel computes, at compile time represented by its handle in IR.
 
     Attributes:
         dt: its type.
@@ -52,7 +52,7 @@ class Value:
 
     @property
     def kind_name(self) -> str:
-        """The name of the type in messages."""
+        """The name of the value's type, for messages."""
         return str(self.dt)
 
     def __bool__(self) -> bool:
@@ -145,7 +145,7 @@ _install_operators()
 
 
 class MatrixValue(Value):
-    """A small vector or matrix.
+    """A small vector or matrix that a kernel computes.
 
     `elements` holds the components where they are known one by one, which keeps integer
     vectors, such as grid indices, scalar. The SSA vector is then made where it is needed.
@@ -164,7 +164,7 @@ class MatrixValue(Value):
     ):
         super().__init__(emitter, handle, dt)
         self.shape, self.elements = shape, elements
-        # Whether it is zero off the diagonal by construction.
+        # Whether the matrix is zero off the diagonal by construction.
         self.is_diagonal = False
 
     @property
@@ -207,7 +207,7 @@ class MatrixValue(Value):
     # Elements
 
     def scalars(self) -> list[Value]:
-        """All components, row by row."""
+        """Returns all components, row by row."""
         if self.elements is not None:
             return self.elements
         count = 1
@@ -235,7 +235,7 @@ class MatrixValue(Value):
         return self.emitter.vector([self.emitter.extract(self, c) for c in found], self.dt)
 
     def fill(self, value: Any) -> None:
-        # Values that have a place use `Place.fill`.
+        # A value cannot be filled; variables and elements, which can, use `Place.fill`.
         raise TaiTypeError(
             f"a {self.kind_name} without a place cannot be filled",
             "give it a name: b = …; b.fill(…)",
@@ -271,7 +271,7 @@ class MatrixValue(Value):
         a = self.emitter.to_float(self)
         if not _is_zero(eps):
             return self.emitter.unary("sqrt", a.dot(a) + eps)
-        # Without `fast`, it is right where the squares over- or underflow.
+        # Without `fast`, the norm is right where the squares over- or underflow.
         emitter = self.emitter
         handle = emitter.builder.norm(a.handle, emitter.type_of(a.dt), emitter.fast_norms)
         return Value(emitter, handle, a.dt)
@@ -280,7 +280,7 @@ class MatrixValue(Value):
         return self.emitter.binary("/", 1.0, self.norm(eps))
 
     def normalized(self, eps: Any = 0) -> MatrixValue:
-        """a / (‖a‖ + eps), and zero for a zero vector."""
+        """Emits a / (‖a‖ + eps), and zero for a zero vector."""
         emitter = self.emitter
         a = emitter.to_float(self)
         length = a.norm() + eps
@@ -360,7 +360,7 @@ class MatrixValue(Value):
 
 
 def stop_gradient(value: Value) -> Value:
-    """The value, which gradients take for a constant."""
+    """Returns the value as one that gradients take for a constant."""
     if not value.dt.is_float:
         return value
     emitter = value.emitter
@@ -373,10 +373,10 @@ def _is_zero(eps: Any) -> bool:
 
 
 def is_value(thing: Any) -> bool:
-    """Whether `thing` is known only when the kernel runs."""
+    """Whether `thing` is a value that is known only when the kernel runs."""
     return isinstance(thing, Value)
 
 
 def is_dynamic(*things: Any) -> bool:
-    """Whether a kernel is being compiled and one of `things` is a value of it."""
+    """Whether a kernel is being compiled and one of `things` is a value of that kernel."""
     return state.emitter is not None and any(isinstance(t, Value) for t in things)
