@@ -1,4 +1,4 @@
-// RUN: tai-opt %s --canonicalize --split-input-file | FileCheck %s
+// RUN: tai-opt %s --canonicalize --cse --split-input-file | FileCheck %s
 
 // The transpose of a transpose is the matrix.
 // CHECK-LABEL: tai.kernel @transpose_twice(
@@ -53,4 +53,56 @@ tai.kernel @unused_load(%i: index, %f: f32) {
   %1 = tai.atomic add %f, @x[%i] : f32
   tai.store %f, @x[%i] : f32
   tai.return
+}
+
+// -----
+
+// A constant carries no derivative, nor does what is stopped already.
+// CHECK-LABEL: tai.kernel @stopped(
+//  CHECK-SAME:      %[[A:.+]]: f32)
+//       CHECK:   %[[C:.+]] = arith.constant 2.0
+//       CHECK:   %[[STOPPED:.+]] = tai.stop_gradient %[[A]]
+//   CHECK-NOT:   tai.stop_gradient
+//       CHECK:   arith.addf %[[STOPPED]], %[[C]]
+tai.kernel @stopped(%a: f32) -> f32 {
+  %c = arith.constant 2.0 : f32
+  %0 = tai.stop_gradient %a : f32
+  %1 = tai.stop_gradient %0 : f32
+  %2 = tai.stop_gradient %c : f32
+  %3 = arith.addf %1, %2 : f32
+  tai.return %3 : f32
+}
+
+// -----
+
+// A value that is differentiated as itself; as another one it stays.
+// CHECK-LABEL: tai.kernel @derived(
+//  CHECK-SAME:      %[[A:.+]]: f32, %[[B:.+]]: f32)
+//       CHECK:   %[[D:.+]] = tai.derive_as %[[A]], %[[B]]
+//   CHECK-NOT:   tai.derive_as
+//       CHECK:   arith.addf %[[A]], %[[D]]
+tai.kernel @derived(%a: f32, %b: f32) -> f32 {
+  %0 = tai.derive_as %a, %a : f32
+  %1 = tai.derive_as %a, %b : f32
+  %2 = arith.addf %0, %1 : f32
+  tai.return %2 : f32
+}
+
+// -----
+
+// A read after a launch is not the read before it, and no launch goes.
+tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
+tai.field @x = @t["x"] : f32, rank 1
+tai.kernel @empty() {
+  tai.return
+}
+// CHECK-LABEL: func.func @launches(
+//       CHECK:   tai.load @x
+//  CHECK-NEXT:   tai.launch @empty()
+//  CHECK-NEXT:   tai.load @x
+func.func @launches(%i: index) -> (f32, f32) {
+  %0 = tai.load @x[%i] : f32
+  tai.launch @empty() : () -> ()
+  %1 = tai.load @x[%i] : f32
+  return %0, %1 : f32, f32
 }

@@ -12,6 +12,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "DiscardableAttrs.h"
+#include "OpModels.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/IR/Builders.h"
 #include "mlir/IR/DialectImplementation.h"
@@ -67,6 +68,9 @@ void TaiDialect::initialize() {
   registerAttributes();
   registerOps();
   addInterfaces<TaiInlinerInterface, PlaceIndex>();
+  attachMemoryModels(*getContext());
+  attachAsmNames(*getContext());
+  addMarkerFolds(*this);
 }
 
 LogicalResult TaiDialect::verifyOperationAttribute(Operation *op,
