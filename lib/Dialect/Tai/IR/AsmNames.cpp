@@ -55,15 +55,13 @@ static void nameResults(SymEigOp op, OpAsmSetValueNameFn setName) {
 
 namespace {
 template <typename Op>
-struct ResultNames
-    : OpAsmOpInterface::ExternalModel<ResultNames<Op>, Op> {
+struct ResultNames : OpAsmOpInterface::ExternalModel<ResultNames<Op>, Op> {
   void getAsmResultNames(Operation *op, OpAsmSetValueNameFn setName) const {
     nameResults(cast<Op>(op), setName);
   }
 };
 
-struct IndexNames
-    : OpAsmOpInterface::ExternalModel<IndexNames, ParallelForOp> {
+struct IndexNames : OpAsmOpInterface::ExternalModel<IndexNames, ParallelForOp> {
   void getAsmBlockArgumentNames(Operation *op, Region &,
                                 OpAsmSetValueNameFn setName) const {
     constexpr StringRef names[] = {"i", "j", "k", "l"};

@@ -90,9 +90,9 @@ struct StoreModel : AccessModel<StoreModel, LocalStoreOp> {};
 /// change while a pass looks at the launch.
 struct LaunchModel
     : MemoryEffectOpInterface::ExternalModel<LaunchModel, LaunchOp> {
-  void getEffects(
-      Operation *,
-      SmallVectorImpl<MemoryEffects::EffectInstance> &effects) const {
+  void
+  getEffects(Operation *,
+             SmallVectorImpl<MemoryEffects::EffectInstance> &effects) const {
     for (MemoryEffects::Effect *effect :
          {static_cast<MemoryEffects::Effect *>(MemoryEffects::Read::get()),
           static_cast<MemoryEffects::Effect *>(MemoryEffects::Write::get())}) {
