@@ -70,6 +70,10 @@ inline bool watchesNumbers() {
   return __builtin_expect(watchingThreads != 0, false) && watchesNumbersHere;
 }
 std::unordered_set<uint64_t> knownSites;
+/// Numbers that this thread has read from fields with a history, which Python
+/// keeps alive, and the places where a launch with one of them was reported.
+thread_local std::unordered_set<const PyObject *> readNumbers;
+std::unordered_set<uint64_t> reportedSites;
 /// Places where Python code has checked a launch that cuts a graph of torch.
 std::unordered_set<uint64_t> knownGraphSites;
 
@@ -98,6 +102,15 @@ bool isKnownSite(const std::unordered_set<uint64_t> &known) {
   bool isKnown = known.count(site) != 0;
   Py_DECREF(code);
   return isKnown;
+}
+
+/// Whether Python code has yet to look at a launch from this place with the
+/// number, which is no whole number.
+bool mustLookAt(const PyObject *number) {
+  if (PyLong_Check(number))
+    return false;
+  bool isRead = !readNumbers.empty() && readNumbers.count(number);
+  return !isKnownSite(isRead ? reportedSites : knownSites);
 }
 
 /// Whether torch records the current computations.
@@ -243,7 +256,7 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
   case ArgKind::F32:
   case ArgKind::F64: {
     double number;
-    if (watchesNumbers() && !PyLong_Check(object) && !isKnownSite(knownSites))
+    if (watchesNumbers() && mustLookAt(object))
       return Match::No;
     if (PyFloat_CheckExact(object)) {
       number = PyFloat_AS_DOUBLE(object);
@@ -604,12 +617,22 @@ void taipy::bindLauncher(py::module_ &module) {
   module.def("forget_sites", [] {
     knownSites.clear();
     knownGraphSites.clear();
+    reportedSites.clear();
   });
+  module.def("note_number", [](const py::object &number) {
+    readNumbers.insert(number.ptr());
+  });
+  module.def("forget_numbers", [] { readNumbers.clear(); });
   // The caller keeps the code object alive.
   module.def("note_site", [](const py::object &code, int line,
                              const py::object &launcher) {
     knownSites.insert(siteOf(reinterpret_cast<PyCodeObject *>(code.ptr()), line,
                              launcher.ptr()));
+  });
+  module.def("note_reported_site", [](const py::object &code, int line,
+                                      const py::object &launcher) {
+    reportedSites.insert(siteOf(reinterpret_cast<PyCodeObject *>(code.ptr()),
+                                line, launcher.ptr()));
   });
   module.def("note_graph_site", [](const py::object &code, int line,
                                    const py::object &launcher) {

@@ -262,7 +262,8 @@ def __getattr__(name: str) -> Any:
             if _NOT_YET[name]:
                 error.add_note(f"hint: {_NOT_YET[name]}")
             raise error
-        error = AttributeError(f"module 'tai' has no attribute '{name}'")
+        # With a name, Python adds no suggestion of its own.
+        error = AttributeError(f"module 'tai' has no attribute '{name}'", name=name)
         hint = _did_you_mean(name, __dir__())
         if hint:
             error.add_note(hint)

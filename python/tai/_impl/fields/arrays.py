@@ -123,11 +123,13 @@ class Ndarray(Elements):
             ) from None
 
     def __getitem__(self, key: Any) -> Any:
-        if state.tape is not None:
-            origins.note_read(self)
         with self._refusing(key, None):
             item = self.array[() if key is None else key]
-        return Matrix._wrap(item) if np.ndim(item) else item.item()
+        value = Matrix._wrap(item) if np.ndim(item) else item.item()
+        if state.tape is None:
+            return value
+        origins.note_read(self)
+        return origins.note_number(self, value)
 
     def __setitem__(self, key: Any, value: Any) -> None:
         self._check_write(value)

@@ -175,13 +175,10 @@ class ScalarField(Field):
     # Elements
 
     def __getitem__(self, key: Any) -> Any:
+        value = self.get_component(key, 0)
         if state.tape is not None or state.forward:
-            origins.note_read(self)
-        try:
-            value = self.core.get(index_tuple(key), 0)
-        except (IndexError, TypeError, OverflowError) as error:
-            raise self._index_error(error, key) from None
-        return value if self.dtype.is_float else self._to_python(value)
+            return origins.note_number(self, value)
+        return value
 
     def __setitem__(self, key: Any, value: Any) -> None:
         self.set_component(key, 0, value)

@@ -19,7 +19,7 @@ from ...errors import TaiGradientWarning
 from ..base import native, state
 from ..base.callers import calling_frame
 from ..base.program import at_close
-from . import marks
+from . import marks, numbers
 from .followed import carries_history, has_history, is_followed, is_marked
 from .marks import Mark
 from .texts import Reading, callers
@@ -59,6 +59,7 @@ def begin() -> None:
 def end() -> None:
     """Ends the following of values: nothing is recorded any more."""
     marks.clear()
+    numbers.clear()
     _of_thread.watching, _of_thread.opened = None, 0
     if _of_thread.views:
         native.watch_views(None, [], False, None, False)
@@ -106,6 +107,18 @@ def note_read(field: Any) -> None:
     """Python reads a field; to be called under a tape or in forward mode."""
     if not _of_thread.watches and has_history(field):
         begin()
+
+
+def note_number(field: Any, value: Any) -> Any:
+    """Python reads a number of a field; to be called under a tape or in forward mode.
+
+    Returns:
+        The number.
+    """
+    if has_history(field):
+        begin()
+        numbers.note(value)
+    return value
 
 
 def note_tape(tape: Any, looks_at_all: bool) -> None:
@@ -248,15 +261,21 @@ def check_call(kernel: Any, names: list[str], values: dict[str, Any]) -> None:
     frame = calling_frame()
     if frame is None:
         return
+    read = [name for name in names if _is_read(values.get(name))]
     if is_new_place(frame, kernel):
-        reading, lost = _read(frame), []
+        reading, lost = _read(frame), read
         if any(name in values and _is_plain(values[name]) for name in names):
             scope = reading.scope
             found = scope.given_to(kernel, frame.f_lineno, names, scope.has_history)
-            lost = [name for name in found if name in values and _is_plain(values[name])]
+            found = [name for name in found if name in values and _is_plain(values[name])]
+            lost = [name for name in names if name in found or name in read]
+        _settle(frame, kernel, reading, bool(lost))
+    else:
+        lost = read
+    if lost and is_new_place(frame, kernel._function):
         for name in lost:
             _warn(frame, f"what parameter '{name}' of kernel '{kernel.__name__}' is given")
-        _settle(frame, kernel, reading, bool(lost))
+        native.note_reported_site(frame.f_code, frame.f_lineno, kernel)
     if (id(frame.f_code), frame.f_lineno) not in _asking:
         # The launcher is told that it need not call this function again for the line.
         native.note_site(frame.f_code, frame.f_lineno, kernel)
@@ -309,7 +328,7 @@ def check_write(field: Any, value: Any) -> None:
         return
     is_field = hasattr(field, "_companions")
     what = f"what Python writes to field '{field.name}'" if is_field else "what an array is given"
-    tracked = is_followed(value) or (not marks.is_empty() and is_marked(value))
+    tracked = is_followed(value) or (not marks.is_empty() and is_marked(value)) or _is_read(value)
     if not tracked and (not _of_thread.watches or isinstance(value, int)):
         return
     frame = calling_frame()
@@ -325,6 +344,12 @@ def check_write(field: Any, value: Any) -> None:
     if tracked:
         _warn(frame, what)
     _settle(frame, check_write, reading, tracked)
+
+
+def _is_read(value: Any) -> bool:
+    """Whether the value is a number or an element that Python has read and not computed with."""
+    field = getattr(value, "_field", None) if getattr(value, "is_matrix", False) else None
+    return numbers.is_read(value) or (field is not None and has_history(field))
 
 
 def _is_plain(value: Any) -> bool:

@@ -443,9 +443,12 @@ class Scope:
                 return True
             if path is not None and self._has_tainted_element(path):
                 return True
+            found = self.resolve(node)
             # A number that an object holds is a plain one here, and has no gradient.
-            if isinstance(self.resolve(node), (int, float)):
+            if isinstance(found, (int, float)):
                 return False
+            if isinstance(found, property) and isinstance(found.fget, FunctionType):
+                return self._returns_history(found.fget, ast.Call(node, [node.value], []))
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv):
             return False
         if isinstance(node, ast.Subscript):
@@ -476,6 +479,9 @@ class Scope:
             return True
         if path == f"{base}[*]" and self._has_tainted_element(base):
             return True
+        if isinstance(node.value, ast.Subscript):  # a component of an element
+            elements = isinstance(self.resolve(node.value.value), Elements)
+            return elements and self._element_has_history(node.value)
         return self._is_known(node.value) or (
             isinstance(node.value, ast.Name) and self._is_given(node.value.id)
         )

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 class NoAttribute(TaiTypeError, AttributeError):
     """An attribute that a value has not: an error in kernels, an answer for `hasattr`."""
 
+    # As tracebacks name it: the public class.
+    __module__, __qualname__ = TaiTypeError.__module__, TaiTypeError.__qualname__
+
 
 class Value:
     """A number that a kernel computes, at compile time represented by its handle in IR.
