@@ -213,7 +213,11 @@ class Tensor:
         ({"is_nested": True}, "is nested", "to_padded_tensor"),
         ({"conj": True}, "is a conjugate", "x.resolve_conj()"),
         ({"neg": True}, "is a negative", "x.resolve_neg()"),
-        ({"error": (RuntimeError, "no storage\nmore")}, "cannot be shared: no storage", "dense copy"),
+        (
+            {"error": (RuntimeError, "no storage\nmore")},
+            "cannot be shared: no storage",
+            "dense copy",
+        ),
         ({"error": (TypeError, "can't convert")}, "cannot be shared: can't convert", "dense copy"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",

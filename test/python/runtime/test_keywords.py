@@ -5,6 +5,7 @@ import inspect
 import re
 import subprocess
 import sys
+import traceback
 
 import numpy as np
 import pytest
@@ -217,3 +218,31 @@ def test_a_property_that_fails_keeps_its_error():
 def test_keywords_that_are_given_are_not_suggested():
     with pytest.raises(TypeError, match="did you mean 'edge0'"):
         ti.math.smoothstep(edge=0.0, edge1=1.0, x=0.5)
+
+
+@pytest.mark.parametrize(
+    ("program", "hint"),
+    [
+        ("ti.feild(ti.f32, shape=3)", "did you mean 'field'?"),
+        ("ti.init(default_pf=ti.f64)", "did you mean 'default_fp'?"),
+        ("ti.cpuu", "did you mean 'cpu'?"),
+    ],
+)
+def test_one_suggestion_alone(program, hint):
+    """As a terminal shows it: Python adds no other name. Letters in another order come first."""
+    with pytest.raises((AttributeError, ti.TaiRuntimeError)) as caught:
+        eval(program, {"ti": ti})
+    text = "".join(traceback.format_exception(caught.value))
+    assert text.lower().count("did you mean") == 1
+    assert hint in text
+
+
+def test_a_kernel_names_the_public_class_of_an_error():
+    @ti.kernel
+    def long() -> ti.f32:
+        return ti.Vector([1.0, 2.0]).nrom()
+
+    with pytest.raises(ti.TaiTypeError) as caught:
+        long()
+    text = "".join(traceback.format_exception(caught.value))
+    assert "\ntai.errors.TaiTypeError: a vector of 2 f32 has no attribute 'nrom'" in text

@@ -6,6 +6,7 @@ import functools
 import json
 import warnings
 
+import numpy as np
 import pytest
 import tai as ti
 
@@ -186,6 +187,15 @@ def test_a_component_of_an_element(scene):
     (warning,) = record(scene, "tape", lambda: launch(scene, scene.v[0][1]))
     assert "parameter 'r'" in str(warning.message)
     assert record(scene, "tape", lambda: launch(scene, [[0.5]][0][0])) == []
+
+
+def test_an_array_of_a_whole_field(scene):
+    def run(field):
+        launch(scene, float(np.asarray(field)) + 1)
+
+    assert record(scene, "tape", lambda: run(scene.constant)) == []
+    (warning,) = record(scene, "tape", lambda: run(scene.loss))
+    assert "parameter 'r'" in str(warning.message)
 
 
 def test_an_element_that_an_object_holds(scene):

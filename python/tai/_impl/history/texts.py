@@ -479,9 +479,10 @@ class Scope:
             return True
         if path == f"{base}[*]" and self._has_tainted_element(base):
             return True
-        if isinstance(node.value, ast.Subscript):  # a component of an element
-            elements = isinstance(self.resolve(node.value.value), Elements)
-            return elements and self._element_has_history(node.value)
+        if isinstance(node.value, ast.Subscript):  # perhaps a component of an element
+            field = self.resolve(node.value.value)
+            if isinstance(field, Elements) and self._element_has_history(node.value):
+                return True
         return self._is_known(node.value) or (
             isinstance(node.value, ast.Name) and self._is_given(node.value.id)
         )
@@ -573,7 +574,7 @@ class Scope:
                 return True
         if _is_in(called, _DISCRETE) or getattr(called, "_is_unrecorded", False):
             return False
-        if getattr(called, "__name__", None) == "from_dlpack":
+        if getattr(called, "__name__", None) in ("array", "asarray", "from_dlpack"):
             if any(carries_history(self.resolve(argument)) for argument in node.args):
                 return True
         if isinstance(called, FunctionType) and self._returns_history(called, node):
