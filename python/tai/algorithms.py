@@ -81,7 +81,7 @@ class PrefixSumExecutor:
         self._sums: dict[Any, Any] = {}
 
     def run(self, input_arr: Any) -> None:
-        """Adds up the numbers of a field with one index, in place.
+        """Replaces the numbers of a field with one index by their prefix sums, in place.
 
         Raises:
             TaiRuntimeTypeError: something else, or a field of another length.

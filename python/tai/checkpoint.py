@@ -29,7 +29,7 @@ from .errors import TaiRuntimeError, TaiRuntimeTypeError
 
 
 def _leaves(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
-    """The fields of numbers, vectors and matrices, and arrays, in `thing`, by name."""
+    """The fields and arrays in a container or object, by name."""
     if isinstance(thing, StructField):
         for key, member in thing.members.items():
             yield from _leaves(f"{name}.{key}", member)
@@ -91,7 +91,8 @@ def _of_program() -> dict[str, Any]:
 
 
 def state(fields: Any = None, /, *, gradients: bool = False, **named: Any) -> dict[str, np.ndarray]:
-    """Copies of the numbers, by name: a dictionary of arrays, which can be pickled.
+    """Copies the numbers of fields and arrays; returns a dictionary of arrays by name, which can be
+    pickled.
 
     Args:
         fields: a dictionary or a list of fields, or an object that has them as attributes. Without

@@ -13,8 +13,8 @@ from collections.abc import Iterable
 SHOW_TRACEBACK = bool(os.environ.get("TAI_TRACEBACK"))
 
 
-# Advice for errors that calls from Python raise without any: the first whose pattern is found in
-# the message; groups of the pattern fill the hint.
+# Hints for errors of calls from Python that have no hint: the first pattern that is found in the
+# message counts; groups of the pattern fill the hint.
 _HINTS_OF_CALLS = [
     (r"index \S+ is out of range", "indices count from 0; negative ones have no meaning"),
     (r"^an element of field '(.*)' has shape \((\d+),\)", "give a list of {1} numbers"),
@@ -103,7 +103,7 @@ class TaiError(Exception):
     def locate(
         self, filename: str, lineno: int, column: int, end_column: int | None = None
     ) -> TaiError:
-        """Sets the place, unless an inner one is known already."""
+        """Sets the source location of an error, unless a more precise one is known already."""
         if self.lineno is None:
             self.filename, self.lineno = filename, lineno
             self.column, self.end_column = column, end_column
@@ -131,8 +131,8 @@ class TaiCompilationError(TaiError):
 class TaiSyntaxError(TaiCompilationError, SyntaxError):
     """Python syntax that kernels do not have, or use of a construct in the wrong place."""
 
-    # SyntaxError has slots of its own for the place, which Python prints an uncaught
-    # error from; the whole text must stand in `msg`.
+    # SyntaxError has its own attributes for the location, from which Python prints an uncaught
+    # error, so the whole text must be in `msg`.
     filename = lineno = text = None
 
     @property
@@ -197,12 +197,12 @@ def shorten(filename: str | None) -> str:
     return relative if len(relative) < len(filename) else filename
 
 
-# The lines of files that kernels were read from, as they were then.
+# The lines of source files as they were when kernels were read from them.
 LINES: dict[str, list[str]] = {}
 
 
 def source_line(filename: str | None, lineno: int) -> str:
-    """A line of a file; empty where it is not at hand."""
+    """A line of a source file; empty if the file is not available."""
     lines = LINES.get(filename or "")
     if not lines:
         return linecache.getline(filename or "", lineno)
@@ -213,7 +213,7 @@ def show_line(
     filename: str | None, lineno: int, column: int | None, end_column: int | None = None,
     source: str | None = None,
 ) -> list[str]:  # fmt: skip
-    """The source line and a line with carets, or nothing where the source is not at hand."""
+    """The source line and a line with carets below it; nothing if the source is not available."""
     source = (source_line(filename, lineno) if source is None else source).rstrip("\n")
     if not source.strip():
         return []
@@ -254,7 +254,7 @@ SPELLINGS: dict[str, str] = {}
 # Variables that the iterations of a parallel loop share, by the field of the IR that holds them.
 SHARED_VARIABLES: dict[str, str] = {}
 
-# Phrases of messages about the IR, and the phrases that stand for them in Python.
+# Phrases of compiler messages about the IR, and the phrases for Python that replace them.
 _IN_PYTHON = {
     "accumulate with 'tai.atomic add', or store to an element for each iteration": (
         "accumulate by +=, store to an element for each iteration, or run this loop on one thread: "
@@ -282,13 +282,15 @@ def _name_variable(found: re.Match) -> str:
 
 
 def spelled(name: str) -> str:
-    """A name of the IR, or one that the compiler made of it, as the program has it."""
+    """The name in the program for a name of the IR, or for a name that the compiler derived from
+    one.
+    """
     base = name.removesuffix("_grad")
     return SPELLINGS.get(name) or SPELLINGS.get(base, base) + name[len(base) :]
 
 
 def as_written(text: str) -> str:
-    """A text with the names of the program in the place of those of the IR."""
+    """Replaces names of the IR in a text by the names that the program uses."""
     if not SPELLINGS:
         return text
     return re.sub(r"'(\w+)'", lambda match: f"'{spelled(match[1])}'", text)

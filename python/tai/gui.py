@@ -23,7 +23,7 @@ from .errors import TaiRuntimeError, TaiRuntimeTypeError
 
 __all__ = ["GUI", "Event", "Widget", "hex_to_rgb", "rgb_to_hex"]
 
-# Shapes are drawn this many times larger and then reduced: smooth edges.
+# Shapes are drawn at this multiple of the size and then reduced, so that their edges are smooth.
 _SCALE = 2
 # The panel of widgets: its place and width, in pixels.
 _PANEL = (8, 8, 170)
@@ -54,7 +54,9 @@ def _array(values: Any) -> np.ndarray:
 
 
 def _places(shape: tuple[int, ...], bound: float) -> np.ndarray:
-    """Places of the elements of a field that fills the canvas, (n * m, 2)."""
+    """The positions on the canvas of the elements of a field that fills the canvas, as an array (n
+    * m, 2).
+    """
     axes = [np.linspace(bound / n, 1 - bound / n, n) if n > 1 else np.array([0.5]) for n in shape]
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
 
@@ -342,7 +344,7 @@ class GUI(FrameLoop):
             self._keep_pace()
         self.clear()
 
-    # Widgets, in a panel of the upper left corner
+    # Widgets, which are in a panel in the upper left corner of the window.
 
     def slider(self, text: str, minimum: float, maximum: float, step: float = 1) -> Widget:
         """A slider, whose `value` the mouse changes by multiples of `step`; at first `minimum`."""

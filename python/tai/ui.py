@@ -124,13 +124,15 @@ class Camera:
         self._far = float(z_far)
 
     def get_view_matrix(self) -> np.ndarray:
-        """From the world to the camera, whose x is to the right and whose z is backward; acts on
-        columns."""
+        """The matrix from world coordinates to camera coordinates, whose x is to the right and
+        whose z is backward; it acts on columns.
+        """
         return look_at(self._position, self._lookat, self._up)
 
     def get_projection_matrix(self, aspect: float) -> np.ndarray:
-        """From the camera to the cube from -1 to 1, for a picture `aspect` times as wide as high;
-        acts on columns."""
+        """The matrix from camera coordinates to the cube from -1 to 1, for a picture `aspect` times
+        as wide as high; it acts on columns.
+        """
         if self._mode == ProjectionMode.Orthogonal:
             return orthographic(**self._planes, near=self._near, far=self._far)
         return perspective(self._fov, aspect, self._near, self._far)
@@ -139,7 +141,7 @@ class Camera:
         self, window: Window, movement_speed: float = 1.0, yaw_speed: float = 2.0,
         pitch_speed: float = 2.0, hold_key: str | None = None,
     ) -> None:  # fmt: skip
-        """Moves by the keys W, A, S, D, E (up) and Q (down), and turns by the mouse.
+        """Moves the camera by the keys W, A, S, D, E (up) and Q (down), and turns it by the mouse.
 
         Args:
             movement_speed: distance in a sixtieth of a second.

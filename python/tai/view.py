@@ -46,21 +46,21 @@ class Frames:
         self.count += 1
 
     def play(self, frames: Sequence[Any], framerate: float) -> None:
-        """Writes a film, unless its frames were just drawn by a `ti.GUI`."""
+        """Writes an animation, unless its frames were just drawn by a `ti.GUI`."""
         if not self.count:
             for frame in frames:
                 self.show(frame)
 
     def events(self) -> Iterator[Event]:
-        """None ever."""
+        """Returns no events, because frames are written to files."""
         return iter(())
 
     def has_events(self) -> bool:
-        """Never."""
+        """Returns false, because there are never events."""
         return False
 
     def wait(self) -> None:
-        """Returns at once: the window has no queue."""
+        """Returns at once, because a picture that is written to a file has no event queue."""
 
 
 def fail(message: str) -> NoReturn:

@@ -65,7 +65,7 @@ def coordinates(field: Field) -> np.ndarray:
 
 
 def _check(field: Any, what: str) -> list[tuple[ScalarField, Any]]:
-    """The places of a field, each with the components that it holds."""
+    """The storage places of a field, each with the components that it holds."""
     if isinstance(field, MatrixField):
         if field.single is not None:
             return [(field.single, ...)]
@@ -91,7 +91,9 @@ def _indices(field: Field, where: Any) -> np.ndarray:
 
 
 def read(field: Field, where: Any) -> np.ndarray:
-    """The elements at coordinates (n, dimensions), as an array (n, *element shape)."""
+    """Reads the elements of a field at coordinates (n, dimensions), as an array (n, *element
+    shape).
+    """
     parts, indices = _check(field, "ti.volumes.read"), _indices(field, where)
     values = np.zeros((len(indices), *field.element_shape), field.dtype.numpy)
     for place, components in parts:
@@ -102,7 +104,7 @@ def read(field: Field, where: Any) -> np.ndarray:
 
 
 def write(field: Field, where: Any, values: Any) -> None:
-    """Sets the elements at coordinates (n, dimensions); their cells become active.
+    """Sets the elements of a field at coordinates (n, dimensions); their cells become active.
 
     Args:
         values: an array (n, *element shape), or one element for all.
@@ -131,7 +133,7 @@ def to_numpy(field: Field) -> tuple[np.ndarray, np.ndarray]:
 
 
 def from_numpy(field: Field, where: Any, values: Any) -> None:
-    """Makes exactly the cells that hold these elements active, and sets them.
+    """Activates exactly the cells that hold these elements, and sets the elements.
 
     All other elements of the field, and of other fields in the same cells, are dropped. In an
     active cell, elements that are not given are zero.
@@ -175,7 +177,7 @@ def load(path: str | os.PathLike, **fields: Field) -> None:
 
 
 def _check_loaded(path: Any, name: str, field: Field, where: Any, values: Any) -> tuple:
-    """Coordinates and values of a file as arrays that fit the field."""
+    """The coordinates and values in a file, as arrays that fit the field."""
 
     def refuse(what: str) -> TaiRuntimeError:
         return TaiRuntimeError(

@@ -67,7 +67,7 @@ def _options() -> argparse.Namespace:
 
 
 def _examples(given: Path | None) -> Path:
-    """The folder of the programs, which a package alone does not have."""
+    """The folder of the example programs, which an installed package does not have."""
     for place in (given,) if given else PLACES:
         if (place / "mass_spring_simple.py").is_file() and (place / "studio").is_dir():
             return place.resolve()
@@ -137,7 +137,7 @@ class _Store:
         write_text(self.folder / f"{result.name}.json", json.dumps(content))
 
     def load(self, name: str) -> Result | None:
-        """The result of an earlier run, if it was made with the same settings."""
+        """Loads the result of an earlier run, if it was made with the same settings."""
         try:
             content = json.loads((self.folder / f"{name}.json").read_text())
             if content["settings"] == self.settings:
@@ -170,7 +170,9 @@ def _perform(lab: Lab, experiment: Experiment) -> Result:
 
 
 def _copy_page(lab: Lab, text: str, rows: list[page.Row], docs: Path) -> None:
-    """The page of a GPU lies beside that of the CPU, with pictures of its own."""
+    """Copies the report page. The page for a GPU is beside that for the CPU, with its own
+    pictures.
+    """
     suffix = "" if lab.arch == "cpu" else f"-{lab.arch}"
     folder = docs / "pictures"
     folder.mkdir(exist_ok=True)

@@ -195,8 +195,9 @@ def table2(lab: Lab) -> None:
 
 
 def compiling(lab: Lab) -> None:
-    """The extra time of the first iteration over the next one, with an empty cache and a filled
-    one."""
+    """Measures how much longer the first iteration takes than the next one, with an empty and with
+    a filled cache.
+    """
     scenes = [("smoke", 8), ("rigid_body", 64), ("diffmpm", 16), ("diffmpm3d", 8), ("liquid", 8)]
     rows = []
     for name, steps in scenes[: lab.pick(1, 5, 5)]:

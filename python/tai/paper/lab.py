@@ -163,7 +163,7 @@ class Lab:
     # Checks
 
     def check(self, holds: bool, what: str) -> None:
-        """Notes a check that fails; the experiment goes on, and counts as failed."""
+        """Notes that a check has failed; the experiment continues, and counts as failed."""
         if not holds:
             self.result.status = "failed"
             self.result.reason += ("; " if self.result.reason else "") + what
@@ -188,7 +188,7 @@ class Lab:
         self.result.blocks.append(["table", list(header), shown])
 
     def picture(self, path: Path, caption: str) -> None:
-        """A picture that an example has made, or a word on why there is none."""
+        """Adds a picture that an example has made to the page, or a note on why there is none."""
         if not path.is_file():
             self.text("(No picture: that takes `pip install matplotlib`.)")
             return
@@ -223,7 +223,9 @@ def show(cell: Any) -> str:
 
 
 def usual(values: Sequence[float]) -> float:
-    """The median of all but the first, which compiles; of one, that one."""
+    """The median of all times except the first, which includes compilation; of a single time, that
+    time.
+    """
     return statistics.median(values[1:] or values)
 
 

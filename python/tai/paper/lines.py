@@ -62,8 +62,9 @@ def is_tape(node: ast.AST) -> bool:
 
 
 def recorded(tree: ast.Module) -> set[str]:
-    """Names of the functions that tapes record; also of a kernel that is chosen before or handed
-    over."""
+    """The names of functions that tapes record, also if a kernel is chosen before or passed as an
+    argument.
+    """
     found = set()
     for function in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)):
         names = {name for node in ast.walk(function) if is_tape(node) for name in names_of(node)}

@@ -42,7 +42,9 @@ def _markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str
 
 
 def _pieces(rows: Sequence[Row]) -> Iterator[Sequence[Any]]:
-    """The pieces that follow the head of a page, in order: the kind of each, and its contents."""
+    """The blocks of the report page after its head, in order: the kind of each block, and its
+    contents.
+    """
     yield ("table", *_summary(rows))
     for _, where, title, result in rows:
         yield ("experiment", title, where)

@@ -190,7 +190,7 @@ class CheckResult:
 
 
 def differentiable_fields() -> dict[str, Any]:
-    """The placed fields of the program that have a gradient, by symbol."""
+    """The placed fields of the program that have a gradient, by their symbol in the IR."""
     found = {}
     program = get_program()
     internal = {pool.field.symbol for pool in program.pools}
@@ -213,7 +213,9 @@ def _gradient(f: Any) -> np.ndarray:
 
 
 class Recording(native.WithBlock):
-    """A tape of its own, with gradients cleared; `as` names the core object."""
+    """A tape that clears the gradients when it is entered; its `with` block gets the tape object of
+    the C++ library.
+    """
 
     def __init__(self, loss: Any = None):
         self._loss = loss
@@ -287,8 +289,11 @@ class Accesses:
             _join(self._written, symbol, write)
 
     def _of_host_function(self, core: Any, record: int) -> None:
-        """A function with a gradient of its own may touch anything: a run shows its changes."""
-        # From another point: at the present one it may have run already.
+        """The effect of a function with a custom gradient on the fields is unknown, so the function
+        is run and the changes are looked up.
+        """
+        # The function runs from changed values: with the present values it may have run already,
+        # and would then change nothing.
         here = Snapshot()
         generator = np.random.default_rng(1)
         before = {}
@@ -367,7 +372,9 @@ class Program:
         return [Snapshot._take(f).astype(np.float64) for f in self.outputs]
 
     def at(self, f: Any, offset: np.ndarray) -> Callable[[float], list[np.ndarray]]:
-        """The outputs as a function of the distance along a direction of one field."""
+        """The outputs of the program as a function of the distance along a direction of one
+        input field.
+        """
 
         def value(step: float) -> list[np.ndarray]:
             self.start.restore(only_primal=True)
@@ -626,7 +633,9 @@ def find_culprit(
     core: Any, start: Snapshot, loss: Any, generator: np.random.Generator,
     tolerance: float | None = None, forward_tolerance: float | None = None,
 ) -> Culprit | None:  # fmt: skip
-    """The first record whose gradient, by itself and on its own state, is wrong."""
+    """The first record of a tape whose gradient is wrong when it is checked alone, on the field
+    values that the record had.
+    """
     start.restore(only_primal=True)
     if loss is not None:
         loss.core.fill(0.0)
@@ -674,7 +683,9 @@ class GradCheck:
         self._start = Snapshot()
 
     def end(self, core: Any, loss: Any) -> CheckResult:
-        """The tape has swept: compares, prints a line for each field, raises if one is wrong."""
+        """Called after the reverse sweep of the tape: compares the gradients, prints a line for
+        each field, and raises an exception if one is wrong.
+        """
         after = Snapshot()
         after.limit(core)
         self._start.limit(core)

@@ -55,7 +55,8 @@ class Condition:
 
 
 def weigh_inputs(found: Accesses) -> tuple[dict[str, float], list[Any], list[str]]:
-    """The inputs of a tape whose gradients are those of its last sweep.
+    """The fields whose initial values a tape reads, so that their gradients are those of its last
+    sweep.
 
     Returns:
         Σ |x · ∂L/∂x| by the name of the field; the fields; and the names of those that are
@@ -71,7 +72,8 @@ def weigh_inputs(found: Accesses) -> tuple[dict[str, float], list[Any], list[str
         name = owner_of(f).name
         gradient = Snapshot._take(f._companions["grad"]).astype(np.float64)
         if symbol in found.changed:
-            # The gradient of an element that the host has filled in the tape is 0.
+            # An element that the host has filled within the tape is no input, and its gradient is
+            # 0.
             if gradient[first].any():
                 overwritten.append(name)
             continue

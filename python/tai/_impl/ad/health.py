@@ -21,8 +21,8 @@ from .seeds import number_of
 from .snapshot import Snapshot
 from .source import Place
 
-# Growth of the logarithm of the norm, for each replay of a kernel, from which on a gradient
-# says more about rounding than about the program.
+# If the logarithm of the norm of an adjoint grows by more than this number for each replay of a
+# kernel, the gradient says more about rounding than about the program.
 GROWTH_LIMIT = 0.1
 _LEAST_STEPS = 8
 
@@ -211,7 +211,9 @@ def _by_kernel(rows: list[HealthRow], place: Any) -> list[KernelHealth]:
 
 
 def _slope(squares: list[float]) -> float:
-    """Least-squares slope of the logarithm of the norm over the replays, as the sweep goes."""
+    """The least-squares slope of the logarithm of an adjoint's norm over the replays of a kernel,
+    in the order of the sweep.
+    """
     logs = [(n, 0.5 * math.log(s)) for n, s in enumerate(squares) if 0 < s < math.inf]
     if len(logs) < _LEAST_STEPS:
         return math.nan
@@ -290,7 +292,9 @@ def warn_of_losses(core: Any, losses: list[Any]) -> None:
 
 
 def _find_bad_start(core: Any) -> str | None:
-    """A field that no kernel of the tape changes and that is not finite where one reads it."""
+    """Finds a field that no kernel of the tape changes, and that has a value that is not finite
+    where a kernel reads it.
+    """
     known = {
         symbol: f for symbol, f in get_program().fields.items()
         if f.role == "primal" and f.dtype.is_float and f._core is not None
@@ -384,7 +388,7 @@ def _find_amplification(report: HealthReport, loss: Any, place: Any) -> None:
 
 
 def _find_flat(report: HealthReport, found: Accesses) -> None:
-    """Fields that are read before they are written, whose gradient is exactly zero."""
+    """Fields whose initial values the tape reads, and whose gradient is exactly zero."""
     alive = {row.symbol for row in report.rows if row.norm or row.nans or row.infs}
     for symbol, reads in found.masks.items():
         f = found.known[symbol]

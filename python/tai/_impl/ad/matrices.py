@@ -63,7 +63,9 @@ class _Numbers:
 
 
 class _Products:
-    """Products with the Jacobian of a program, each from the fields as they were at first."""
+    """Computes products with the Jacobian of a program; the fields have their initial values before
+    each product.
+    """
 
     def __init__(self, function: Function, inputs: Any, outputs: Any):
         if not callable(function):
@@ -173,7 +175,8 @@ def _as_pattern(pattern: Any, rows: int, columns: int) -> Any:
 
 
 def _colour(pattern: Any) -> np.ndarray:
-    """A colour for each column, such that columns of one colour have no row in common.
+    """Gives each column of a sparsity pattern a colour, so that two columns of one colour have no
+    row in common.
 
     The largest columns get theirs first, and each the least that is free.
     """
@@ -193,7 +196,8 @@ def _compress(
     pattern: Any, colours: np.ndarray, product: Callable[[np.ndarray], np.ndarray], what: str,
     bits: int,
 ) -> Any:  # fmt: skip
-    """The matrix with a pattern, by one product for each colour of its columns, and one to check.
+    """Computes a sparse matrix whose pattern is known, by one product for each colour of its
+    columns, and one more product to check the result.
 
     Args:
         what: a row is a number of this: "output".
@@ -215,7 +219,8 @@ def _compress(
 def _check_pattern(
     matrix: Any, product: Callable[[np.ndarray], np.ndarray], what: str, bits: int
 ) -> None:
-    """Compares a random product: an entry outside of the pattern was added to another one.
+    """Compares a product with a random vector: it differs if the matrix has entries outside of the
+    pattern, which were then added to other entries.
 
     Raises:
         TaiAutodiffError: they differ by more than rounding.
@@ -223,7 +228,8 @@ def _check_pattern(
     direction = np.random.default_rng(7).uniform(0.5, 1.5, matrix.shape[1])
     expected, found = product(direction), matrix @ direction
     size = np.maximum(abs(matrix) @ direction, np.abs(expected))
-    # Rounding may cost many digits within a program, and parts of it may be in f32.
+    # The tolerance is wide, since rounding may cost many digits within a program, and parts of the
+    # program may be in f32.
     tolerance = {16: 0.1, 32: 1e-3}.get(bits, 1e-5)
     off = np.abs(expected - found) > tolerance * size
     if off.any():
@@ -335,7 +341,9 @@ def jacobian(
 
 
 class _HessianProducts:
-    """Products with the Hessian of a loss, each from the fields as they were at first."""
+    """Computes products with the Hessian of a loss; the fields have their initial values before
+    each product.
+    """
 
     def __init__(self, function: Function, loss: Any, inputs: Any):
         self.function, self.loss = function, loss
@@ -394,7 +402,9 @@ def _as_operator(
     products: _Products | _HessianProducts, shape: tuple[int, int],
     forward: Callable[[np.ndarray], np.ndarray], reverse: Callable[[np.ndarray], np.ndarray],
 ) -> Any:  # fmt: skip
-    """An operator of SciPy, each product of which leaves the fields as it finds them."""
+    """Makes a linear operator of SciPy. Each product restores the values that the fields had before
+    it.
+    """
     _, linalg = get_scipy("operators need")
 
     def kept(product: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:

@@ -36,7 +36,8 @@ class TapeStats(NamedTuple):
 
 
 def parse_checkpoint(checkpoint: Any, memory_budget: Any) -> tuple[int, int, int] | None:
-    """Kind, number of snapshots and bytes for `taiTapeSetCheckpoint`; None to save all values.
+    """Converts a `checkpoint` argument of a tape to what `taiTapeSetCheckpoint` takes: the kind,
+    the number of snapshots and the bytes. None means that the tape saves all values.
 
     Raises:
         TaiRuntimeTypeError: anything else than the values that `ti.ad.Tape` documents.

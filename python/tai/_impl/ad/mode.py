@@ -70,12 +70,12 @@ def check_tangent(field: Any, tangent: Any) -> np.ndarray:
 
 
 def clear_duals() -> None:
-    """Sets the duals of all fields to zero, but those that another thread has computed."""
+    """Sets the duals of all fields to zero, except duals that another thread has computed."""
     get_program().context.clear_tangents()
 
 
-# Threads are in forward mode one after the other: the duals of a field that two of them use are
-# those of one run.
+# Only one thread at a time is in forward mode, because the duals of a field that two threads use
+# would mix two runs.
 one_thread = Lock()
 
 
@@ -94,7 +94,7 @@ def follow(inputs: Sequence[Any], all_others: bool) -> None:
 
 
 def find_lost(outputs: Sequence[Any]) -> list[str]:
-    """Tangents that got lost on the way to the outputs; to be called in forward mode."""
+    """Finds tangents that got lost on the way to the outputs; to be called in forward mode."""
     return get_program().context.lost_tangents(_cores_of(outputs)).splitlines()
 
 
@@ -158,7 +158,9 @@ class suspended(native.WithBlock):
 
 
 def prepare(pairs: Sequence[tuple[Any, Any]], what: str) -> list[tuple[Any, np.ndarray]]:
-    """The fields of the pairs, in memory, with their tangents as arrays."""
+    """Allocates the fields of pairs of a field and a tangent, and converts the tangents to
+    arrays.
+    """
     checked = [(check_dual(field, what), tangent) for field, tangent in pairs]
     materialize(get_program(), caller_names())
     return [(field, check_tangent(field, tangent)) for field, tangent in checked]
@@ -181,7 +183,8 @@ def derivatives_of_gradients(
     """
     checked = prepare(pairs, "the input")
     check_dual(loss, "the loss")
-    # A field with a gradient takes part in the derivative; a missing dual would go unnoticed.
+    # A field with a gradient takes part in the second derivative. If it had no dual, its share
+    # would be missing without notice.
     for field in get_program().fields.values():
         if field.role == "grad" and getattr(field.dual, "snode", None) is None:
             raise TaiAutodiffError(

@@ -19,12 +19,14 @@ from .rounding import BITS, Sweep
 from .seeds import number_of
 from .snapshot import Snapshot
 
-# The types that a field may be stored in, from narrow to wide, and their digits in bits.
+# The types that a field may be stored in, from narrow to wide, and the digits of each in bits.
 STORAGE = {"bf16": 8, "f16": 11, "f32": 24, "f64": 53}
 LARGEST_F16 = 65504.0
-# A loss is rounded, too: an estimate is never less than half of an ulp of the loss.
+# The loss itself is rounded, too, so an estimate of its error is never less than half of an ulp of
+# the loss.
 _UNIT = 2.0**-24
-# Roundings of a sum that is added up by blocks, as multiples of one of its partial sums.
+# The rounding error of a sum that is added up by blocks, as a multiple of the rounding of one of
+# its partial sums.
 _STEPS_OF_SUM = 4.0
 
 
@@ -136,7 +138,7 @@ class PrecisionReport:
         spent = 0.0 if all(f.dtype == "f64" for f in self.fields) else self.expected**2
         chosen: dict[str, str] = {}
         kinds = [name for name in ("bf16", "f16", "f32") if hasattr(dtypes, name)]
-        # The types that cost the least of the target for each byte saved come first.
+        # The fields whose type costs the least error for each byte saved come first.
         offers = sorted(
             (f.errors[kind] / f.bytes, number, kind)
             for number, f in enumerate(self.fields)
@@ -194,7 +196,7 @@ class PrecisionReport:
 
 
 def owner_of(f: Any) -> Any:
-    """The field that the user has made, of one that is a component of it."""
+    """The field that the user has made, given the scalar field that holds one of its components."""
     for name in ("field", "_whole"):
         owner = getattr(f, name, None)
         if owner is not None:
@@ -211,7 +213,7 @@ def _relative(error: float | None, loss: float) -> str:
 
 
 def find_not_finite() -> dict[str, str]:
-    """The fields that hold NaN or an infinity, and the text about each behind its name."""
+    """The fields that hold NaN or an infinity: the name of each, and the text about it."""
     found = {}
     for f in own_fields():
         array = Snapshot._take(f)
@@ -248,7 +250,8 @@ def make_report(
     """
     for symbol, message in sweep.not_finite.items():
         if symbol in sweep.loaded:
-            # A field has its name from the first kernel that uses it, which the tape may hold.
+            # A field gets its name from the first kernel that uses it, and that kernel may be
+            # recorded in the tape.
             name = owner_of(get_program().fields[symbol]).name
             raise TaiAutodiffError(
                 f"field '{name}' {message}", "fill it before the tape is entered"
@@ -263,7 +266,7 @@ def make_report(
     fields = _fields(sweep)
     unit = 2.0 ** (BITS["14 bits"] - STORAGE["f32"])
     known = get_program().fields
-    # Compensated sums keep twice the digits: their own roundings do not count.
+    # Compensated sums keep twice the digits, so the roundings of their additions do not count.
     is_compensated = get_program().options.sums == "compensated"
     others = (
         []
@@ -275,7 +278,7 @@ def make_report(
         ]
     )
     others += [(f"the sum in '{f.name}'", f.errors["f32"]) for f in fields if f.is_accumulated]
-    # A value that no kernel computes is rounded where it is stored.
+    # A value that no kernel computes is rounded only when it is stored.
     others += [
         (f"the storage of '{f.name}'", f.errors["f32"]) for f in fields
         if f.dtype == "f64" and not f.is_accumulated and not sweep.stored & set(f.symbols)

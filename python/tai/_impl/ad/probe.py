@@ -14,19 +14,19 @@ import numpy as np
 
 STEPS = tuple(10.0**-k for k in range(2, 11))  # 1e-2 … 1e-10
 
-# Relative errors that pass. Differences in f32 lose about two thirds of its seven digits; a
-# dot product of forward against reverse loses as many as sums of f32.
+# Relative errors that a gradient check accepts. Differences in f32 lose about two thirds of its
+# seven digits; a dot product that compares forward and reverse mode loses as many as sums of f32.
 DIFFERENCES_TOLERANCE = {"f64": 1e-7, "f32": 5e-3}
 FORWARD_TOLERANCE = {"f64": 1e-12, "f32": 1e-4}
-# A difference of noisy values is known up to the noise by the step. A gradient that differs from it
-# by less passes, up to this relative error.
+# A finite difference of noisy values is known up to the noise divided by the step. A gradient that
+# differs from the finite difference by less passes, up to this relative error.
 _NOISE_TOLERANCE = {"f64": 1e-3, "f32": 5e-2}
-# The distance of the points that noise is measured by, and their number. Differences of order 4 of
-# values so close together leave nothing of a smooth function.
+# Noise is measured by differences of order 4 of values at close points, where a smooth function
+# leaves nothing: the distance of the points, and their number.
 _NOISE_STEP = {"f64": 2.0**-20, "f32": 2.0**-12}
 _NOISE_POINTS = 8
-# A derivative smaller than this share of the values it is taken of cannot be told from the
-# rounding of the differences.
+# A derivative smaller than this share of the function's values cannot be told from the rounding of
+# the finite differences.
 _FLOOR = {"f64": 1e-4, "f32": 1e-2}
 
 
@@ -81,7 +81,8 @@ class Probe:
     def passed(self) -> bool:
         if self.error <= self.tolerance:  # false for nan
             return True
-        # At a kink any slope between those of the two sides is a gradient.
+        # At a kink of the function, any slope between the slopes of its two sides is accepted as a
+        # gradient.
         return self.kink and not self.jump and self.between
 
     @property
@@ -116,7 +117,9 @@ class Probe:
 
 
 def direction(generator: np.random.Generator, array: np.ndarray, mask: Any = None) -> np.ndarray:
-    """A random direction of length 1 with components of both signs, zero outside the mask."""
+    """A random direction of length 1 whose components have both signs and are zero outside of the
+    mask.
+    """
     found = generator.standard_normal(array.shape)
     if mask is not None:
         found = np.where(mask, found, 0.0)
@@ -125,7 +128,9 @@ def direction(generator: np.random.Generator, array: np.ndarray, mask: Any = Non
 
 
 def relative_error(a: float, b: float, scale: float) -> float:
-    """The distance of two derivatives; 0 if they are the same, nan if one is no number."""
+    """The relative distance of two derivatives; 0 if they are equal, NaN if one of them is not a
+    number.
+    """
     if a == b:
         return 0.0
     if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(scale)):
@@ -224,9 +229,12 @@ def measure_noise(value: Callable[[float], float], step: float) -> float:
 
 
 def _allow_noise(probe: Probe, scale: float, noise: float, most: float) -> None:
-    """Lets a gradient pass that differs from the differences by no more than their noise."""
+    """Accepts a gradient that differs from the finite differences by no more than the noise of the
+    function.
+    """
     for rung in probe.ladder:
-        # Three deviations of a difference of two values with this noise. Extrapolation adds less.
+        # Three standard deviations of a difference of two values with this noise. The extrapolation
+        # adds less than that.
         bound = 3 * noise / (np.sqrt(2.0) * rung.step) / max(scale, abs(probe.reverse))
         if probe.tolerance < bound <= most and rung.error <= bound:
             best = rung.central
@@ -238,7 +246,9 @@ def _allow_noise(probe: Probe, scale: float, noise: float, most: float) -> None:
 
 
 def _finest(ladder: list[Rung]) -> Rung:
-    """The rung whose one-sided slopes are best: small, but well above the rounding."""
+    """Selects the step of the finite differences whose one-sided slopes are best: a small one, but
+    well above the rounding.
+    """
     return min(ladder, key=lambda r: abs(np.log10(r.step) + 6))
 
 
@@ -250,7 +260,8 @@ def _look_for_kinks(probe: Probe, scale: float, noise: float) -> None:
             gaps.append((rung.step, gap))
     small = [(s, g) for s, g in gaps if 1e-8 <= s <= 1e-4]
     if len(small) >= 2:
-        # Smooth: the gap shrinks with the step. Kink: it stays. Jump: it grows.
+        # Tells what the function is at this point. At a smooth point, the difference of the
+        # one-sided slopes shrinks with the step; at a kink it stays; at a jump it grows.
         growth = np.log(small[-1][1] / small[0][1]) / np.log(small[0][0] / small[-1][0])
         probe.kink = growth > -0.3
         probe.jump = growth > 0.6

@@ -31,7 +31,9 @@ _ATTRIBUTES = ("dtype", "symbol", "_core")
 
 
 class Twin:
-    """A place, and memory of another type that can stand in for its own."""
+    """The storage of a field, and a twin: memory of another type that kernels can use in place of
+    it.
+    """
 
     def __init__(self, place: Any, dtype: Any):
         self.place = place
@@ -51,19 +53,23 @@ class Twin:
             self._pairs.append((grad, made._companions["grad"]))
 
     def copy_in(self) -> None:
-        """Gives the twin the values of the field, in whose place it is not yet."""
+        """Copies the values of a field to its twin, before the twin takes the place of the
+        field.
+        """
         place, made = self._pairs[0]
         array = Snapshot._take(place)
         made.core.copy_from(np.ascontiguousarray(array, made.dtype.numpy))
 
     def copy_out(self) -> None:
-        """Gives the field, which is in its place again, values and gradients of the twin."""
+        """Copies values and gradients of the twin back to the field, once the field has its own
+        memory again.
+        """
         for place, made in self._pairs:
             array = Snapshot._take(made)
             place.core.copy_from(np.ascontiguousarray(array, place.dtype.numpy))
 
     def exchange(self) -> None:
-        """The field takes the memory of the twin, or its own again."""
+        """Makes the field use the memory of its twin, or its own memory again."""
         fields = get_program().fields
         for place, made in self._pairs:
             for name in _ATTRIBUTES:
@@ -148,7 +154,9 @@ class Version(native.WithBlock):
         _forget_launches()
 
     def copy_out(self) -> None:
-        """Gives the fields the values and gradients of the last run; to be called behind it."""
+        """Copies the values and gradients of the last run from the twins to the fields; to be
+        called after the block.
+        """
         for twin in self.twins:
             twin.copy_out()
 
@@ -159,7 +167,9 @@ class Version(native.WithBlock):
 
 
 def _owners(place: Any, dtype: Any) -> list[tuple[Any, Any]]:
-    """The vector or matrix field of a place, and its gradient, with their types."""
+    """The vector or matrix field that a storage place belongs to, and its gradient, with their
+    types.
+    """
     owner = owner_of(place)
     if owner is place:
         return []
@@ -177,7 +187,9 @@ def _retyped(owner: Any, dtype: Any) -> Any:
 
 
 def _forget_launches() -> None:
-    """Lets Python look again which code a launch needs, and which types `float` stands for."""
+    """Makes Python forget which compiled code a launch uses and which type `float` stands for, so
+    that both are looked up again.
+    """
     for kernel in snapshot(get_program().kernels):
         kernel.forget_launches()
         kernel.forget_types()

@@ -28,20 +28,21 @@ from ..values.value import MatrixValue, Value, stop_gradient
 
 # The most lines and fields that a program with probes may have.
 SIZE = 4096
-# Operations of `arith` and of the builder whose results are rounded; all of `math` but these are.
+# Operations of the dialect `arith` and of the IR builder whose results are rounded, and operations
+# of the dialect `math` whose results are not: all others of `math` are rounded.
 _ROUNDED = {"arith.addf", "arith.subf", "arith.mulf", "arith.divf"}
 _EXACT = {"math.absf", "math.floor", "math.ceil", "math.round", "math.trunc"}
 _ROUNDED_FORMS = {"dot", "cross", "outer", "matmul", "solve", "inverse", "determinant", "trace",
                   "sum"}  # fmt: skip
-# Types that are tried for a field: f16 with its denormal numbers, bf16, and 14 bits, which no type
-# has.
+# Types that are tried for the storage of a field: f16 with its denormal numbers, bf16, and a format
+# with 14 bits, which no type has.
 BITS = {"f16": 11, "bf16": 8, "14 bits": 14}
 _LEAST_NORMAL_F16 = 2.0**-14
 
 
 @dataclass
 class Sweep:
-    """The results of the sweep over a tape whose kernels have probes.
+    """The results of a reverse sweep over a tape whose kernels estimate their rounding errors.
 
     Attributes:
         sums: the derivative of each place, by the key of the place.
@@ -58,7 +59,8 @@ class Sweep:
 
 
 class Probes:
-    """The places of the derivatives, which the kernels of a program share.
+    """Numbers the places of a program, such as its lines, whose rounding errors are estimated; all
+    kernels share the numbers.
 
     Attributes:
         field: of f64, all 0, whose gradient they are.
@@ -78,12 +80,12 @@ class Probes:
 
     @property
     def symbol(self) -> str:
-        """The symbol of the field in the IR."""
+        """The symbol, in the IR, of the field whose gradient has the estimates."""
         assert self.field.symbol is not None  # it was allocated
         return self.field.symbol
 
     def place(self, *key: Any) -> int:
-        """The element for a line of a file, or for a type and a field."""
+        """The element of the field of estimates for a line of a file, or for a type and a field."""
         found = self._places.setdefault(key, len(self._places))
         if found >= SIZE:
             raise TaiAutodiffError(
@@ -104,7 +106,9 @@ class Probes:
         return self.sweep
 
     def emulate(self, keys: set[tuple]) -> None:
-        """From now on the roundings of these places happen; without any, none do."""
+        """Only the roundings of these places are simulated from now on; none, if the list is
+        empty.
+        """
         array = np.zeros(SIZE)
         for key in keys:
             array[self._places[key]] = 1.0
@@ -114,7 +118,7 @@ class Probes:
         return RoundingEmitter(builder, self)
 
     def note(self, kernel: Any) -> None:
-        """A kernel is launched, for the first time since it is looked at."""
+        """Called when a kernel is launched for the first time since the estimate began."""
         sweep = self.sweep
         sweep.loaded |= {f.symbol for f in kernel.fields}
         sweep.accumulated |= {f.symbol for f in kernel.accumulated}
@@ -122,7 +126,9 @@ class Probes:
 
 
 class RoundingEmitter(Emitter):
-    """Emits the operations of its base, and a probe behind each result that is rounded."""
+    """An emitter that appends a probe of the rounding error to each operation whose result is
+    rounded.
+    """
 
     def __init__(self, builder: Any, probes: Probes):
         super().__init__(builder)
@@ -185,7 +191,9 @@ class RoundingEmitter(Emitter):
         return self._with(result, [(("line", self._file, self._line), error)])
 
     def loaded(self, field: Any, value: Any) -> Any:
-        """An element that a kernel has loaded, with the probes of its field."""
+        """Called for an element that a kernel has loaded; returns it with the probes of its
+        field.
+        """
         if not value.dt.is_float or field is self._probes.field:
             return value
         bits = BITS.get(field.dtype.name) or {32: 24, 64: 53}[field.dtype.bits]
@@ -202,7 +210,8 @@ class RoundingEmitter(Emitter):
         return self._with(value, errors)
 
     def added(self, field: Any, value: Any) -> Any:
-        """A term of a sum: with random signs, as it were, and so of the size of partial sums.
+        """Probes a term of a sum. The sign of the term counts as random, so that its rounding is
+        that of partial sums of this size.
 
         The sign belongs to the magnitude: errors of terms that cancel do not cancel.
         """
@@ -232,7 +241,7 @@ class RoundingEmitter(Emitter):
         return self.constant(number, like.dt)
 
     def _rounded(self, value: Any, bits: int) -> Any:
-        """The number with fewer bits. A product that a sum is fused with is exact here."""
+        """Rounds a number to fewer bits. A product that is fused with an addition is exact."""
         shift = {32: 24, 64: 53}[value.dt.bits] - bits
         scaled = self._apply("arith.mulf", value, self._number(2.0**shift, value))
         total = self._apply("arith.addf", value, scaled)
@@ -277,7 +286,7 @@ def begin(program: Program, not_finite: dict[str, str]) -> Probes:
 
 
 def end(program: Program) -> None:
-    """Ends the estimate: kernels that are launched from now on have no probes."""
+    """Ends the estimate: kernels that are launched from now on do not estimate rounding errors."""
     state.of_thread.rounding = None
     _forget_launches(program)
 

@@ -39,7 +39,8 @@ def as_losses(loss: Any) -> list[Any]:
 
 
 def as_wanted(wrt: Any) -> list[Any]:
-    """The fields whose gradients are wanted, members of struct fields each; empty for all.
+    """Checks the fields whose gradients are wanted, and replaces struct fields by their members;
+    empty means all fields.
 
     Raises:
         TaiRuntimeTypeError: something that is no field, or no field at all.
@@ -88,7 +89,9 @@ def require_grad(field: Any, frame: Any) -> None:
 
 
 def parts_of(field: Any) -> list[tuple[Any, Any]]:
-    """The places that hold a field, and the index of each in arrays of the whole."""
+    """The storage places of a field, and for each of them its index in arrays of the whole
+    field.
+    """
     parts = getattr(field, "parts", None)
     if parts is None or len(parts) == 1:
         return [(field if parts is None else parts[0], ...)]
@@ -122,7 +125,7 @@ def as_seed(field: Any, seed: Any) -> np.ndarray:
 
 
 def as_seeds(losses: list[Any], seed: Any) -> list[np.ndarray]:
-    """The seeds of all losses: one for a single loss, else one for each."""
+    """The seeds of all losses: one array for a single loss, otherwise an array for each loss."""
     if len(losses) == 1 and not (isinstance(seed, (list, tuple)) and len(seed) == 1):
         return [as_seed(losses[0], seed)]
     if not isinstance(seed, (list, tuple)) or len(seed) != len(losses):

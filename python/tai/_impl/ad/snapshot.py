@@ -14,7 +14,7 @@ from .sparse import Activity, require_small, sparse_level
 
 
 class Snapshot(native.WithBlock):
-    """The contents of all fields of the program, to put back bit for bit.
+    """The contents of all fields of the program, which can be restored bit for bit.
 
     At the end of a `with` block, too, whatever interrupts it.
     """
@@ -32,7 +32,9 @@ class Snapshot(native.WithBlock):
         self._others: list[tuple[Any, np.ndarray]] = []
 
     def limit(self, core: Any) -> None:
-        """Puts back no more than the launches of a tape use: the rest may be another thread's."""
+        """Restores only the fields that the launches of a tape use, because other fields may belong
+        to another thread.
+        """
         used: set[str] = set()
         for record in range(core.records):
             if core.kernel_of(record) is None:
@@ -82,7 +84,7 @@ def storage(f: Any) -> list[Any]:
 
 
 def _symbols_of_primal(f: Any) -> set[str]:
-    """The symbols of the field that a gradient or a dual, or a part of one, belongs to."""
+    """The symbols of the field to which a gradient or dual, or a component of one, belongs."""
     owner = getattr(f, "field", None) or getattr(f, "_whole", None) or f
     while owner.primal is not None:
         owner = owner.primal

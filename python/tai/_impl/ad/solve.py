@@ -37,30 +37,31 @@ from .tuning import Types, distance, is_named, made_by, parts_among, unknowns_of
 
 # The most iterations (a run of the program and its sweep) that the choice of types may cost.
 MOST_ITERATIONS = 20
-# An estimate of first order is within a factor of two as a rule; so is the next draw of an error.
+# First-order estimates of an error, and errors of repeated runs, are within this factor as a rule.
 _SAFETY = 2.0
-# Modes that take at most so much longer than the fastest are timed again, and iterations that are
-# kept for the checks of the choice.
+# Modes whose time is within this factor of the fastest are timed again. The second number:
+# iterations that are reserved for checks of the choice.
 _NEAR, _LAST_CHECKS = 1.5, 5
-# By which times of 16-bit fields count more than those of others.
+# The factor by which times of programs with 16-bit fields count more than those of others.
 _DOUBT = 1.15
-# A mode that takes at most so much longer is taken if its fields take fewer bytes.
+# A mode that takes at most this many times as long is preferred if its fields take fewer bytes.
 _TIE = 1.05
-# Nothing is wider than f64, and the estimate is of the loss: that of the gradient may be greater.
+# No type is wider than f64, so the error of an f64 run is only estimated, and the estimate is of
+# the loss: the error of the gradient may be greater by this factor.
 _MARGIN_OF_F64 = 8.0
-# The roundings of f64 next to those of f32; the same of fast elementary functions.
+# The size of f64 roundings relative to f32 roundings, and the same for fast elementary functions.
 _OF_F64, _OF_FAST = 2.0**-29, 4.0
 # The share of the allowed error that each cause of error may have.
 _SHARE = {"discretisation": 0.5, "solver": 0.2, "only solver": 0.6}
 # The greatest solver tolerance that is tried.
 _LOOSEST = 0.3
-# The most steps, as a multiple of those with which the search begins.
+# The greatest number of time steps, as a multiple of the number with which the search begins.
 _MOST_REFINED = 256
-# By which the tolerances of solvers are multiplied, to learn their effect.
+# The factor by which the tolerances of solvers are multiplied in a run that measures their effect.
 _TIGHTENED = 1e-3
 # The least bytes of a field that gains from a narrower type.
 _LEAST_BYTES = 4096
-# An estimate of rounding beyond which a number of the error says nothing.
+# An estimate of the rounding error that is greater says nothing about the size of the error.
 _HOPELESS = 0.1
 
 
@@ -237,7 +238,7 @@ class _Search:
                 self._leave_results(chosen)
 
     def _discover(self) -> None:
-        """One run as the program stands: the fields that it uses, and what nobody can follow."""
+        """Runs the program once; finds the fields it uses and actions that a tape cannot record."""
         for f, message in find_not_finite().items():
             name = owner_of(get_program().fields[f]).name
             _refuse(f"field '{name}' {message}", "fill it before")
@@ -285,7 +286,7 @@ class _Search:
         return found
 
     def _types(self, base: Any, narrow: dict[str, str] | None = None) -> list[tuple[Any, Any]]:
-        """The type of each place. The loss and unknowns of one number keep all digits."""
+        """The type of each field's storage. The loss and single unknowns keep all digits."""
         pairs = []
         for f in self._places:
             kind = (narrow or {}).get(owner_of(f).name)
@@ -327,7 +328,7 @@ class _Search:
         return words
 
     def _perturb(self, steps: list[np.ndarray]) -> Callable[[], None]:
-        """Adds to the unknowns, each step in units of the magnitude of an element."""
+        """Adds a step to the unknowns; the step is in units of the magnitude of each element."""
 
         def change() -> None:
             for f, step in zip(self._unknowns, steps, strict=True):
@@ -338,7 +339,7 @@ class _Search:
         return change
 
     def _check_gradient(self, reference: Version, base: Any, report: PrecisionReport) -> None:
-        """Differences of the loss: a gradient that host code has cut has another slope."""
+        """Compares the gradient with differences of the loss, which host code cannot interrupt."""
         arrays = self._split(base[1])
         self._start.restore()
         slope = sum(
@@ -376,7 +377,7 @@ class _Search:
         )
 
     def _measure_solvers(self, reference: Version, base: Any, report: PrecisionReport) -> Part:
-        """The effect of the tolerances that the program has, by a run with smaller ones."""
+        """Measures the effect of the program's solver tolerances, by a run with smaller ones."""
         reference.tolerances = _TIGHTENED
         try:
             exact = self._measure(reference)[:2]
@@ -396,7 +397,7 @@ class _Search:
 
     @staticmethod
     def _name_solves(parts: list[Part], report: PrecisionReport) -> None:
-        """Adds the lines of the solves to the part of the solver."""
+        """Attributes the share of solvers in the error to the lines of the solves."""
         for part in parts:
             if part.name == "solver" and report.solves:
                 size = abs(report.loss)
@@ -435,7 +436,7 @@ class _Search:
                     "compared with a run of a smaller tolerance"), found  # fmt: skip
 
     def _choose_steps(self, reference: Version, base: Any) -> tuple[Part, Any]:
-        """The fewest steps whose discretisation error is within its share, by extrapolation."""
+        """The fewest time steps whose extrapolated discretisation error is within its share."""
         room = _SHARE["discretisation"] * self._error
         n = first = int(self._options["steps"])
         results = {n: base if "tol" not in self._options else self._at_steps(reference, n)}
@@ -453,7 +454,7 @@ class _Search:
             order = math.log2(ratio) if ratio > 0 else -math.inf
             if order > 0.5:
                 order = min(order, 6.0)
-                # The error of the 4n steps is at most as great as its change.
+                # The error with 4n steps is at most as great as the change from n to 4n steps.
                 off = max(coarse) / (1 - 2.0**-order)
                 break
             n *= 2
@@ -544,7 +545,7 @@ class _Search:
     def _choose(
         self, reference: Version, base: Any, report: PrecisionReport, room: float
     ) -> _Choice:
-        """The fastest choice whose estimate and measured error are within the room."""
+        """The fastest modes whose estimated and measured errors are at most `room`."""
         choices = self._choices(report)
         hopeful = [choice for choice in choices if _SAFETY * choice.estimate <= room]
         if not hopeful:
@@ -561,7 +562,7 @@ class _Search:
             # Compensated sums cost more than plain sums, which have passed already.
             if choice.name == "f32, compensated sums" and any(c.name == "f32" for c in passed):
                 continue
-            # The other iterations are for the check of the choice, and for f64.
+            # The remaining iterations are reserved for the check of the choice and for the f64 run.
             if self._iterations > MOST_ITERATIONS - 6 and choice.base is not dtypes.f64:
                 continue
             if self._try(choice, reference, base, room):
@@ -570,7 +571,7 @@ class _Search:
                     break
         self._time_again(passed)
         while passed:
-            # Conversions cost time on a processor: 16 bits have to be faster without a doubt.
+            # Conversions from 16 bits cost time on a CPU, so a mode with them must be much faster.
             costs = {c.name: c.seconds * (_DOUBT if c.narrow else 1.0) for c in passed}
             near = [c for c in passed if costs[c.name] <= _TIE * min(costs.values())]
             best = min(near, key=lambda choice: (choice.bytes, len(choice.name), choice.seconds))
@@ -591,7 +592,7 @@ class _Search:
         )
 
     def _time_again(self, passed: list[_Choice]) -> None:
-        """Runs those that may be the fastest once more, in turns: one time is a draw."""
+        """Times the fastest modes again, in turns, since a single time is a matter of chance."""
         while len(passed) > 1 and self._iterations < MOST_ITERATIONS - _LAST_CHECKS:
             fastest = min(choice.seconds for choice in passed)
             near = [choice for choice in passed if choice.seconds <= _NEAR * fastest]
@@ -621,7 +622,7 @@ class _Search:
             self._tried.append(
                 f"{choice.name}: {max(choice.errors):.1e} measured, {choice.estimate:.1e} expected"
             )
-            # Nothing is wider than f64: its error is that of the estimate.
+            # No type is wider than f64, so the error of an f64 run is the estimated one.
             is_widest = choice.base is dtypes.f64
             off = 1.25 * max(choice.errors)
             if max(off, _MARGIN_OF_F64 * choice.estimate if is_widest else 0.0) <= room:
@@ -634,7 +635,7 @@ class _Search:
                 return max(choice.errors) <= room
             if not choice.narrow:
                 return False
-            # The field that is expected to cost most of the gradient goes first.
+            # The first field gets a wider type: its type is expected to cause the largest error.
             choice.narrow = dict(list(choice.narrow.items())[1:])
             if not choice.narrow:
                 return False
@@ -726,7 +727,7 @@ class _Search:
         return arrays
 
     def _by_field(self, gradient: np.ndarray) -> list[np.ndarray]:
-        """An array for each of the fields, whose components may be places of their own."""
+        """An array for each field; the components of a vector field may be stored separately."""
         arrays = {id(f): a for f, a in zip(self._unknowns, self._split(gradient), strict=True)}
         owners = self._wrt or list({id(owner_of(f)): owner_of(f) for f in self._unknowns}.values())
         found = []
@@ -752,7 +753,7 @@ class _Search:
 
 
 def _scale_of(array: np.ndarray) -> np.ndarray:
-    """The magnitude of each element, at least that of the others on the average."""
+    """The magnitude of each element, but at least the average magnitude of all elements."""
     size = np.abs(array.astype(float))
     return np.maximum(size, float(np.mean(size)) or 1.0)
 

@@ -19,7 +19,7 @@ def function_of(symbol: str | None) -> Any:
     if symbol is None or program is None:
         return None
     functions = program.kernel_functions
-    # A kernel that is launched loop by loop has a number behind its name.
+    # A kernel whose loops are launched one by one has a number at the end of its name.
     return functions.get(symbol) or functions.get(symbol.split(".")[0])
 
 

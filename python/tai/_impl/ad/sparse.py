@@ -10,12 +10,13 @@ import numpy as np
 from ...errors import TaiAutodiffError
 from ..base.program import get_program
 
-# Arrays of whole fields are copied around; a sparse field may span far more than there is.
+# Matrices of derivatives are made by copies of whole fields to arrays; the index range of a sparse
+# field may be far larger than its active part.
 LARGEST = 1 << 32
 
 
 def require_small(f: Any) -> None:
-    """Refuses a sparse field whose whole box does not fit into an array."""
+    """Refuses a sparse field whose whole index range does not fit into an array."""
     size = int(np.prod([int(n) for n in f.shape + f.element_shape], dtype=object))
     if size * np.dtype(f.dtype.numpy).itemsize > LARGEST:
         raise TaiAutodiffError(

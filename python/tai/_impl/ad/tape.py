@@ -41,7 +41,7 @@ from .validation import LIMIT, raise_violations
 
 
 class _Missing:
-    """Says, as its tape goes, that the gradient of losses was never computed.
+    """Warns, when a tape is garbage collected, that the gradient of its losses was never computed.
 
     Not the tape itself: Python loses a Ctrl-C that comes in a `__del__`, and most tapes need none.
     """
@@ -111,7 +111,8 @@ class Tape(native.WithBlock):
             arrays and returned values always have theirs.
     """
 
-    # The count of all tapes, by which an optimiser sees whether a function has run one.
+    # The number of reverse sweeps of all tapes, by which an optimiser sees whether a function has
+    # run a tape.
     sweeps = 0
 
     def __init__(
@@ -208,7 +209,9 @@ class Tape(native.WithBlock):
         return self
 
     def _clear_sums(self) -> None:
-        """Sets losses of shape (1,) to zero; the tape in C++ knows those without dimensions."""
+        """Sets losses of shape (1,) to zero, because the C++ tape clears only losses without
+        dimensions.
+        """
         for field in self._sums:
             field.fill(0)
 
@@ -252,7 +255,8 @@ class Tape(native.WithBlock):
             warn(self._core)
             program = get_program()
             program.sweeps += 1
-            # To read a loss takes a tenth of the least tape: after the 1st, 2nd, 4th, … of them.
+            # Reading a loss takes about a tenth of the time of the smallest tape, so it is checked
+            # after the 1st, 2nd, 4th, … tape only.
             if program.sweeps & (program.sweeps - 1) == 0:
                 warn_of_losses(self._core, [f for f in self._losses if is_number(f)])
             if self._check:
@@ -601,7 +605,7 @@ def grad_replaced(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def run_unrecorded(tape: Any, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-    """Calls a function; the launches that it makes are parts of the next record of the tape."""
+    """Calls a function whose launches become parts of the next record of the tape."""
     with _Unrecorded(tape):
         return function(*args, **kwargs)
 

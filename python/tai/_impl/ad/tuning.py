@@ -22,7 +22,9 @@ _TIMED_RUNS = 5
 
 
 class Types(dict):
-    """Types of fields by name; of a name that is not there, the default type of floats."""
+    """A dictionary of field types by name; a name that it does not have gets the default type of
+    floats.
+    """
 
     def __missing__(self, name: str) -> Any:
         return state.options.default_fp
@@ -130,7 +132,7 @@ def made_by(
 
 
 class _Emulation(native.WithBlock):
-    """Afterwards nothing is emulated any more, and fields have their former values."""
+    """After this block, no storage type is simulated, and the fields have their former values."""
 
     def __init__(self, program: Any, start: Snapshot):
         self._program, self._start = program, start
@@ -171,7 +173,9 @@ def _tune(run: Callable[..., Any], loss: Any, error: float, wrt: Any) -> TunedPr
 def _rebuild(
     build: Callable[..., Any], run: Callable[..., Any], loss: Any, wrt: Any, result: TunedPrecision
 ) -> TunedPrecision:
-    """The program with the types that were chosen, in earnest; with fewer until it is right."""
+    """Makes the program with the chosen types and measures its error; widens types until the error
+    is within the target.
+    """
     unknowns = parts_among(wrt) if wrt else unknowns_of(get_program().probes.sweep)
     names = [owner_of(f).name for f in unknowns]
     start = Snapshot()
@@ -208,7 +212,9 @@ def is_named(f: Any, name: str) -> bool:
 
 
 def _seconds(run: Callable[..., Any], loss: Any, start: Snapshot) -> float:
-    """The least time of a few runs with their gradients; the last one's are left."""
+    """The shortest time of a few runs with their gradients; the fields keep the results of the last
+    run.
+    """
     taken = []
     for number in range(_TIMED_RUNS):
         if number:
@@ -262,7 +268,9 @@ def _all_saved(report: PrecisionReport, chosen: dict[str, str]) -> int:
 
 
 def _widen(report: PrecisionReport, chosen: dict[str, str]) -> str:
-    """Gives the field that costs most the next wider type; says which field and type that was."""
+    """Gives the field that causes the largest error the next wider type; returns that field and
+    type.
+    """
     name = max(chosen, key=lambda name: _field(report, name).errors[chosen[name]])
     old = chosen.pop(name)
     own = STORAGE[_field(report, name).dtype]

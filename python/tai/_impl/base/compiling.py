@@ -20,7 +20,7 @@ CLEAR = "\r\x1b[K"
 
 
 class Watcher:
-    """Writes the line from a thread of its own, while other threads compile."""
+    """Writes the status line of a compilation from its own thread, while other threads compile."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -70,7 +70,8 @@ class Watcher:
         text = f"compiling kernel '{name}'"
         if self._done:
             text += f", {self._done} done"
-        # Another program draws a progress bar, and puts whole lines above it: one is enough.
+        # If another program draws a progress bar and puts whole lines above it, one status line is
+        # enough.
         if sys.stderr is not sys.__stderr__:
             if not self._is_shown:
                 self._write(f"{text} …\n")
@@ -115,5 +116,5 @@ def is_shown() -> bool:
 
 
 def compiling(name: str) -> contextlib.AbstractContextManager[None]:
-    """Names a kernel on the terminal for as long as it is compiled."""
+    """Shows the name of a kernel on the terminal while it is being compiled."""
     return _watcher.compiling(name)

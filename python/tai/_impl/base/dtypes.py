@@ -82,7 +82,9 @@ _by_numpy = {t.numpy: t for t in all_types if t is not bf16}
 
 
 def _named(name: str) -> DataType:
-    """The type of that name; the form in which a type is pickled, and copied."""
+    """Returns the data type of a name; data types are pickled and copied as a call of this
+    function.
+    """
     return _by_name[name]
 
 
@@ -132,7 +134,8 @@ def promote(a: DataType, b: DataType) -> DataType:
 
 
 def computed_in(dt: DataType) -> DataType:
-    """The type that arithmetic on `dt` takes place in: 16 bits are for storage, f32 computes.
+    """The type in which arithmetic on values of `dt` is done: 16-bit floats are for storage only,
+    and are computed in f32.
 
     In a kernel that names its precision it is no narrower than that.
     """
@@ -149,7 +152,9 @@ def default_fp() -> DataType:
 
 
 def stored_as(what: Any) -> DataType | None:
-    """The type of a field of `what`: with a precision of 16 bits `float` is stored so."""
+    """The type of a field for the type that the user gives: with a 16-bit precision, `float` means
+    that 16-bit type.
+    """
     if what is float and state.options.precision in ("f16", "bf16"):
         return _by_name[state.options.precision]
     return to_dtype(what)
@@ -161,7 +166,7 @@ def gradient_of(dt: DataType) -> DataType:
 
 
 def dtype_of(value: Any) -> DataType:
-    """The type that a Python or NumPy number takes in a kernel."""
+    """The type that a Python or NumPy number has in a kernel."""
     if isinstance(value, (bool, np.bool_)):
         return u1
     if isinstance(value, np.generic):
@@ -203,7 +208,7 @@ def wrapped(number: int, dt: DataType) -> int:
 
 
 def fit(number: Any, dt: DataType) -> int:
-    """The whole number, if the type can hold it; a float loses its fraction.
+    """Converts a number to a whole number if the type can hold it; a float loses its fraction.
 
     Raises:
         TaiTypeError: it cannot.
@@ -234,7 +239,7 @@ def rounded(number: Any, dt: DataType) -> float:
 
 
 def convert(number: Any, dt: DataType) -> Any:
-    """A number in a type that the program named: `ti.cast(300, ti.u8)` keeps the low bits.
+    """Converts a number to a type that the program names: `ti.cast(300, ti.u8)` keeps the low bits.
 
     Raises:
         TaiTypeError: a whole number that neither this type nor the default one can hold.
@@ -253,7 +258,7 @@ def convert(number: Any, dt: DataType) -> Any:
 
 
 def cast(x: Any, dtype: Any) -> Any:
-    """x in another type; floats become whole numbers by dropping the fraction."""
+    """Converts x to another type; floats become whole numbers by dropping the fraction."""
     emitter = state.emitter
     if emitter is not None:
         target = emitter.to_dtype(dtype)

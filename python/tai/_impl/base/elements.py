@@ -8,14 +8,14 @@ import numpy as np
 
 from ...errors import TaiRuntimeTypeError
 
-# The operators that Python has and whole fields and arrays do not.
+# Python operators that are refused for whole fields and arrays.
 _OPERATORS = {
     "add": "+", "sub": "-", "mul": "*", "truediv": "/", "floordiv": "//", "mod": "%", "pow": "**",
     "matmul": "@", "and": "&", "or": "|", "xor": "^", "lshift": "<<", "rshift": ">>",
 }  # fmt: skip
 _COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">="}
 
-# Numbers of Python, and its lists of numbers. Arrays of all libraries have `__array__`.
+# Types of Python numbers and lists of numbers. Arrays of any library are recognised by `__array__`.
 _NUMBERS = (int, float, complex, list, tuple, range)
 
 # The functions of NumPy that stand for the operators of elements.
@@ -37,14 +37,14 @@ class Elements:
     """
 
     def suggest_name(self, name: str) -> None:
-        """Takes the name of the variable that holds it, if it keeps one and has none yet."""
+        """Takes the name of the variable that holds this field or array, if it has no name yet."""
 
     def _described(self) -> str:
         """Its description in messages."""
         return f"a {type(self).__name__}"
 
     def _example(self) -> str | None:
-        """An access to one of its elements, to show in a hint."""
+        """The text of an access to one of the elements, for a hint in a message."""
         return None
 
     def _shown_name(self) -> str:
@@ -67,7 +67,7 @@ class Elements:
 
     @property
     def __array_interface__(self) -> dict[str, Any]:
-        """A copy of the numbers in the form that other libraries than NumPy ask for."""
+        """A copy of the numbers in the form that libraries other than NumPy request."""
         array = self.__array__()
         if array.ndim == 0:
             raise AttributeError("NumPy takes a single number by __array__ only")
@@ -144,7 +144,7 @@ class Elements:
     # Numbers
 
     def _only_number(self, function: str) -> Any:
-        """The number of a field or an array without dimensions, as `x[None]` reads it."""
+        """The number of a field or array without dimensions, as `x[None]` reads it."""
         shape: Any = (*self.shape, *self.element_shape)  # type: ignore[attr-defined]
         if shape == () and not hasattr(self, "members"):
             return self[None]  # type: ignore[index]
@@ -198,12 +198,12 @@ def is_number(value: Any) -> bool:
 
 
 def _another(name: str) -> str:
-    """A name for another field or array than the one of `name`."""
+    """Suggests a variable name that is not `name`, for a second field or array in an example."""
     return "y" if name != "y" else "x"
 
 
 def format_numbers(numbers: Any, spec: str) -> str:
-    """The numbers of an array, each in a format as `.2f`, with commas as in a list."""
+    """The numbers of an array as text: each in a format such as `.2f`, with commas as in a list."""
     if getattr(numbers, "ndim", 0) == 0:
         return format(numbers.item() if hasattr(numbers, "item") else numbers, spec)
     return "[" + ", ".join(format_numbers(item, spec) for item in numbers) + "]"

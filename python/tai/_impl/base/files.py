@@ -10,13 +10,14 @@ import stat
 from collections.abc import Iterator
 from typing import Any, BinaryIO
 
-# Longer ones might make the name too long for the file system.
+# Longer names of temporary files might be refused by the file system.
 _LONGEST_SUFFIX = 32
 
 
 @contextlib.contextmanager
 def replacing_name(path: Any) -> Iterator[str]:
-    """The name of a file that becomes the file `path` when the block ends without an exception.
+    """Gives the name of a temporary file that replaces the file `path` when the block ends without
+    an exception.
 
     It is in the same folder, has the same suffix, and is renamed at the end: until then, and after
     a failure (a full disk, Ctrl-C), `path` is as it was. The file keeps its permissions, and a
@@ -32,7 +33,7 @@ def replacing_name(path: Any) -> Iterator[str]:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), os.fspath(path))
     part = _beside(target)
     try:
-        # The mask of the process decides on the permissions of a new file.
+        # The umask of the process determines the permissions of a new file.
         number = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     except OSError as error:
         if isinstance(error, PermissionError) and found is not None:
@@ -91,7 +92,9 @@ def _beside(target: str) -> str:
 
 
 def _flush(name: str) -> None:
-    """Puts the bytes on the disk, so that no crash finds the new name with no content."""
+    """Flushes the bytes to the disk before the file is renamed, so that no crash leaves the new
+    name with no content.
+    """
     number = os.open(name, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(number)

@@ -12,7 +12,7 @@ from . import pieces
 from .dtypes import DataType, all_types, fit
 from .elements import is_number
 
-# Whole numbers from here on may be too large for a float.
+# Whole numbers from this one on may be too large for a float.
 _FLOAT_LIMIT = 1 << 1000
 _RANGES = {dt: (dt.min, dt.max) for dt in all_types if dt.is_int}
 
@@ -46,7 +46,7 @@ def stored(value: Any, dt: DataType, what: Any) -> Any:
 
 
 def check_float(value: Any, dt: DataType, what: Any) -> None:
-    """Raises TaiRuntimeTypeError for a whole number that no float is near to."""
+    """Raises TaiRuntimeTypeError for a whole number that is too large for a float."""
     try:
         float(value)
     except OverflowError:
@@ -57,7 +57,7 @@ def check_float(value: Any, dt: DataType, what: Any) -> None:
 
 
 def one_number(value: Any, what: Any) -> Any:
-    """The number that an array or another library's scalar holds, as Python has it."""
+    """The number in an array of one element or in another library's scalar, as a Python number."""
     try:
         return value.item() if hasattr(value, "item") else float(value)
     except (TypeError, ValueError):  # several numbers
@@ -68,7 +68,9 @@ def one_number(value: Any, what: Any) -> Any:
 
 
 def listed(values: Any) -> Any:
-    """Several whole numbers as a tuple or a list: of an array, a tensor, a range, or one number."""
+    """Converts what stands for several whole numbers (an array, a tensor, a range, or one number)
+    to a tuple or a list.
+    """
     if hasattr(values, "tolist"):
         values = values.tolist()
     elif isinstance(values, Sequence) and not isinstance(values, (str, bytes)):

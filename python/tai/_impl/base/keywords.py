@@ -76,7 +76,9 @@ def _refuse_attribute(self: Any, name: str) -> Any:
 
 
 def find_wrong_keyword(function: Any, named: dict[str, Any]) -> tuple[str, str] | None:
-    """The message and the hint for a keyword that is near one of the function or method."""
+    """The message and the hint for a keyword argument that is spelled nearly like one that the
+    function has.
+    """
     inner = getattr(function, "__func__", function)
     if not named or not isinstance(inner, FunctionType):
         return None
@@ -100,7 +102,9 @@ def _near(wrong: str, known: Iterable[str]) -> str | None:
 def refuse_keywords(
     function: str, wrong: str, known: Iterable[str], given: Iterable[str] = ()
 ) -> TypeError:
-    """The error for a keyword that a function has not; it suggests none that a call gives."""
+    """The error for a keyword argument that a function does not have; keywords that the call
+    already gives are not suggested.
+    """
     known = [name for name in known if not name.startswith("_")]
     text = f"{function}() got an unexpected keyword argument '{wrong}'"
     near = _near(wrong, [name for name in known if name not in given])
@@ -110,7 +114,7 @@ def refuse_keywords(
 
 
 def _names_of(function: Any) -> list[str] | None:
-    """The names that a call can give; None where it takes any."""
+    """The names of the keyword arguments of a function; None if it takes any keyword."""
     code = function.__code__
     if code.co_flags & inspect.CO_VARKEYWORDS:
         return None
@@ -119,7 +123,7 @@ def _names_of(function: Any) -> list[str] | None:
 
 
 def checked(function: Any, is_method: bool = False) -> Any:
-    """The function, with a check of the keywords in front of it."""
+    """Wraps a function in a check of the keyword arguments of its calls."""
     if hasattr(function, "with_checked_keywords"):
         return function.with_checked_keywords
     names = _names_of(inspect.unwrap(function))

@@ -19,10 +19,11 @@ MODES: dict[str, tuple[Any, ...]] = {
     "adjoints": ("default", "f64"),
 }
 
-# The options of a kernel; the type that gradients are kept in is an option of fields.
+# The options that set the modes of a kernel. The type in which gradients are kept is an option of
+# fields.
 OF_KERNELS = ("precision", "sums", "math", "ftz")
 
-# Precisions that a kernel cannot have, since it stores nothing by itself.
+# Types that are not allowed as the precision of a kernel, since a kernel stores nothing by itself.
 _STORAGE = ("f16", "bf16")
 
 # The options that are short forms of a mode and a word.
@@ -80,7 +81,7 @@ def check_together(chosen: dict[str, Any], where: str = "options") -> None:
 
 
 def check_target(chosen: dict[str, Any], target: str) -> None:
-    """Fails if no code is made and a mode is of code.
+    """Fails if the program runs without code generation and a mode needs generated code.
 
     Raises:
         TaiRuntimeError: it names the mode.
@@ -149,7 +150,8 @@ def check_kernel(name: str, given: dict[str, Any]) -> dict[str, Any]:
 
 
 def modes_of(own: dict[str, Any], options: Any) -> dict[str, Any]:
-    """The modes of a kernel in IR: its own words, then the options of its context.
+    """The modes of a kernel as attributes of the IR: its own words first, then the options of its
+    context.
 
     Raises:
         TaiRuntimeError: these contradict one another.
@@ -157,7 +159,8 @@ def modes_of(own: dict[str, Any], options: Any) -> dict[str, Any]:
     context = {name: getattr(options, name) for name in OF_KERNELS}
     together = {**context, **own, "shadow": options.shadow}
     for option, (name, _) in _SHORT.items():
-        # The word of a kernel goes first, but compensated sums may be deterministic as well.
+        # The kernel's own choice goes before the program's options, but compensated sums may be
+        # deterministic as well.
         keeps = name not in own or (option == "deterministic" and own[name] == "compensated")
         together[option] = keeps and getattr(options, option)
     check_together(together, "modes")

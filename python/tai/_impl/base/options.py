@@ -38,23 +38,26 @@ _NAMES = {
     "device_heap": "device_heap_memory",
     "block_dim": "default_gpu_block_dim",
 }
-# Set by the package while a program runs, or by tools; `cache_dir` follows from two keywords.
+# Options that the package or tools set while a program runs; `cache_dir` follows from two keywords
+# of `ti.init`.
 _NOT_OF_INIT = {"cache_dir", "compile_profile", "forward_mode", "order_seed"}
 
-# Passed on with each kernel instead, after the words of the kernel; see `base.modes`.
+# Options that are not set on the context, but passed on with each kernel, after the kernel's own
+# words; see `base.modes`.
 _ON_KERNELS = {"precision", "sums", "math", "ftz", "adjoints"}
 
-# The kinds of the table in Python: the type, and a function that reads the initial text.
+# The kinds of values of the option table, in Python: the type, and a function that reads the text
+# of the default value.
 _KINDS: dict[str, tuple[Any, Callable[[str], Any]]] = {
     "Switch": (bool, lambda text: text == "true"),
     **dict.fromkeys(("BlockThreads", "Bytes", "Count", "Level", "Seed"), (int, int)),
 }
 _TYPES = {"arch": Arch, "print_ir": bool | str, "skip": bool | str | Sequence[str]}
 
-# The remark of the C API on its order of calls.
+# The sentence of the C API documentation about its order of calls, which has no meaning in Python.
 _ORDER = re.compile(r"; to be set before [^.;]+")
 
-# Remarks on a keyword for those who write Python, besides the text of the table.
+# Remarks for Python users on keywords of `ti.init`, in addition to the text of the option table.
 _NOTES = {
     "arch": "ti.cpu (or ti.x64), ti.cuda, or ti.gpu: CUDA, or the CPU where there is no GPU; or "
     "ti.python: no code is made, kernels and their gradients run operation by operation, slowly, "
@@ -187,7 +190,8 @@ def bounds_of(options: Options) -> str:
     return "check" if options.debug or options.check_out_of_bound else options.bounds
 
 
-# Options whose text is not that of the value; None leaves an option as it is.
+# Options whose text differs from the text of their Python value; None means that the option keeps
+# its default.
 _TEXTS: dict[str, Callable[[Options], Any]] = {
     "arch": lambda o: "interpreter" if o.arch == python else o.arch,
     "bounds": bounds_of,
@@ -211,8 +215,8 @@ CHOICES = {
     "sanitize": ("", "address"),
 }
 
-# Options of Taichi that ask for something that tai always does, or tune Taichi's own passes; they
-# are in docs/reference/taichi-options.md.
+# Taichi options that request what tai always does, or that tune Taichi's own passes; they are in
+# docs/reference/taichi-options.md.
 ACCEPTED = {
     "advanced_optimization", "flatten_if", "device_memory_GB", "device_memory_fraction",
     "ad_stack_size", "default_ad_stack_size", "demote_dense_struct_fors", "verbose",
@@ -236,8 +240,8 @@ ACCEPTED = {
 
 
 _PRINT = "print_ir=True, or the names of stages, prints the IR of kernels"
-# Accepted options that ask for something tai does not do: the value that asks for nothing, and the
-# remedy.
+# Taichi options that are accepted but request what tai does not do: the value that requests
+# nothing, and the advice for other values.
 _WITHOUT_EFFECT = {
     **dict.fromkeys(
         ("print_preprocessed_ir", "print_kernel_llvm_ir", "print_struct_llvm_ir",

@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 # The number of bytes that are copied at once, which takes some milliseconds.
 PIECE = 16 << 20
-# The elements from which on sorting and the like take longer than a thread does to start.
+# From this number of elements on, sorting and similar work take longer than the start of a thread.
 _MANY = 1 << 18
 
 
@@ -43,7 +43,7 @@ def copied(array: np.ndarray, dtype: Any = None) -> np.ndarray:
 
 
 def row_major(array: np.ndarray, dtype: Any = None) -> np.ndarray:
-    """The array itself, or a copy if it is not in row-major order or has another type."""
+    """Returns the array, or a copy of it if it is not in row-major order or has another type."""
     wanted = array.dtype if dtype is None else np.dtype(dtype)
     if array.flags.c_contiguous and array.dtype == wanted:
         return array
@@ -51,7 +51,7 @@ def row_major(array: np.ndarray, dtype: Any = None) -> np.ndarray:
 
 
 def beside(work: Callable[[], Result], elements: int) -> Result:
-    """The result of a function that changes nothing, such as a sort of so many elements.
+    """Calls a NumPy function without side effects, such as a sort, and returns its result.
 
     A long one runs on a thread of its own, which an interruption leaves to itself.
     """

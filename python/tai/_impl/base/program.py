@@ -15,7 +15,8 @@ from .options import Options, texts_of
 from .symbols import Symbols
 from .targets import cpu
 
-# Functions that drop data with the program; layers above add to it.
+# Functions that drop data when the program is reset; higher modules of the package add to this
+# list.
 at_close: list[Callable[[], None]] = []
 
 
@@ -29,8 +30,8 @@ class Program:
         self.root: Any = None
         # The roots of trees that were laid out and are not allocated yet.
         self.laid_out: list[Any] = []
-        # Held while fields are placed under `ti.root`, so that no other thread allocates half of
-        # them.
+        # A lock that is held while fields are placed under `ti.root`, so that no other thread
+        # allocates an incomplete tree.
         self.layout = Lock()
         # The Python functions of kernels by symbol, for reports that name a line.
         functions: dict[str, Any] = {}
@@ -39,7 +40,8 @@ class Program:
         self.num_trees = 0
         # The roots of the allocated trees, by symbol.
         self.trees: dict[str, Any] = {}
-        # The number of swept tapes; losses that were reported as NaN or infinite.
+        # The number of tapes whose reverse sweep has run, and the losses that were reported as NaN
+        # or infinite.
         self.sweeps = 0
         self.told_losses: set[str] = set()
         # All fields by symbol, for diagnostics and for clearing gradients.
@@ -50,13 +52,13 @@ class Program:
         # The probes by which a precision report measures roundings; see `ad.rounding`.
         self.probes: Any = None
         self.count_kernels_from_here()
-        # Lists that sparse levels had made and reused at the last `clear_skips`.
+        # The numbers of lists that sparse levels had made and reused at the last `clear_skips`.
         self.lists_before: dict[Any, tuple[int, int]] = {}
         for name, text in texts_of(options).items():
             self.context.set_option(name, text)
 
     def close(self) -> None:
-        """Lets go of all memory, although the program's fields and kernels may live on."""
+        """Frees all memory of a program, even if its fields and kernels are still referenced."""
         for field in snapshot(self.fields.values()):
             field.release()
         for kernel in snapshot(self.kernels):
@@ -73,7 +75,7 @@ class Program:
         self.first_kernel = state.kernels_made
 
     def kernels_defined(self) -> int:
-        """The number of kernels defined since, and of earlier ones in use."""
+        """The number of kernels defined since the count began, and of earlier ones still in use."""
         earlier = sum(kernel.number < self.first_kernel for kernel in snapshot(self.kernels))
         return state.kernels_made - self.first_kernel + earlier
 
@@ -117,7 +119,9 @@ def reset() -> None:
 
 @atexit.register
 def _wait() -> None:
-    """Before the program goes, the output and the failures of kernels on a GPU appear."""
+    """Waits for the GPU before the program is destroyed, so that the output and the failures of its
+    kernels appear.
+    """
     if state.program is None or state.program.options.arch == cpu:
         return
     try:
@@ -128,7 +132,7 @@ def _wait() -> None:
 
 @atexit.register
 def _stop_background_work() -> None:
-    """Background compilations must not outlive the libraries that they use.
+    """Ends background compilations, which must not outlive the libraries that they use.
 
     Programs are not always freed at the end: one whose tape is open is not.
     """

@@ -34,7 +34,7 @@ class _OfThread(threading.local):
     emitter: Any = None
     tape: Any = None
     forward: bool = False
-    # How the solves that the tape of the thread records have ended.
+    # How the linear solves ended that the tape of this thread has recorded.
     solves: Any = ()
     fp: Any = None
     rounding: Any = None
@@ -49,7 +49,7 @@ of_thread = _OfThread()
 
 
 class _State(types.ModuleType):
-    """The module itself: some of its variables are another one in each thread.
+    """A module whose attributes include variables that differ from thread to thread.
 
     They are set in `of_thread`, in one step of the interpreter: a signal handler might raise at the
     first step of a function that sets them, or in a `finally` before they are reset.

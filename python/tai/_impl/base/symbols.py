@@ -13,8 +13,8 @@ from collections.abc import Callable
 from ... import errors
 from .locks import Lock
 
-# The number of returned names that are looked at for each one that is taken: more than one, so that
-# none are left behind.
+# For each name that is taken, this many returned names are examined: more than one, so that none
+# are left behind.
 _LOOKS = 4
 
 
@@ -28,8 +28,8 @@ class Symbols:
 
     def __init__(self, is_used: Callable[[str], bool], forget: Callable[[str], None]):
         self._is_used, self._forget = is_used, forget
-        # A signal handler or a finaliser may come here in the middle: after each step below the
-        # tables are consistent.
+        # A signal handler or a finaliser may interrupt this code, so the tables are consistent
+        # after each of the following steps.
         self._lock = Lock()
         self._taken: dict[str, tuple[str]] = {}  # with the wanted name
         self._next: dict[str, int] = {}
@@ -79,7 +79,9 @@ class Symbols:
         return self._taken.setdefault(symbol, wanted) is wanted
 
     def give_back(self, symbol: str) -> None:
-        """Says that the owner of the name is gone. May be called at any time, by any thread."""
+        """Notes that the owner of a name no longer exists. May be called at any time, by any
+        thread.
+        """
         self._returned.append(symbol)
 
     def settle(self) -> None:

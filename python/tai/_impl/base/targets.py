@@ -72,7 +72,9 @@ def why_no_cuda() -> str:
 
 
 def check_target(arch: Arch, needs: Any, unwanted: Any) -> None:
-    """Refuses a target that lacks an extension in `needs`, or is one of `unwanted`."""
+    """Raises an error if a target lacks an extension of `needs`, or is one of the excluded targets
+    `unwanted`.
+    """
 
     def each(what: Any) -> Any:
         return what if isinstance(what, (list, tuple, set)) else (what,)
@@ -86,7 +88,9 @@ def check_target(arch: Arch, needs: Any, unwanted: Any) -> None:
 
 
 def choose_arch(arch: Any) -> tuple[Arch, bool]:
-    """The target to use, and whether the CPU will do where it is not there."""
+    """Chooses the target of the program, given whether the CPU may replace a target that is not
+    available.
+    """
     if isinstance(arch, (list, tuple)):
         arch = next((a for a in arch if a in _CPU), arch[0] if arch else None)
     if arch is None or arch in _CPU:

@@ -28,7 +28,7 @@ _BLOCKS = (ast.stmt, ast.excepthandler, ast.match_case)
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef
 
-# The number of texts of one file that are kept besides those that functions were noted with.
+# The number of source texts of one file that are kept, besides texts that functions need.
 _MOST_TEXTS = 8
 
 _FEATURES = functools.reduce(
@@ -62,7 +62,7 @@ class Text:
 
     @functools.cached_property
     def imports(self) -> list[str]:
-        """The names that the module itself imports: Python calls their attributes otherwise."""
+        """The names that the text imports. Calls of their attributes are compiled differently."""
         names, left = [], list[ast.AST](self._tree.body)
         while left:
             node = left.pop()
@@ -74,7 +74,9 @@ class Text:
 
     @functools.cached_property
     def definitions(self) -> dict[tuple[int, str], Definition]:
-        """The functions by first line, of a decorator or the `def`, and name."""
+        """The functions of a source text, by name and by the first line of the `def` or of its
+        first decorator.
+        """
         found = {}
         for node in ast.walk(self._tree):
             if isinstance(node, Definition):
@@ -116,7 +118,9 @@ def _typed_lines(filename: str) -> list[str]:
 
 
 def _typed_at_prompt(function: Callable[..., Any]) -> Text | None:
-    """The text of a function that was just typed at Python's prompt, where readline keeps it."""
+    """The source text of a function that was just typed at Python's prompt, where readline keeps
+    it.
+    """
     readline = sys.modules.get("readline")
     if function.__code__.co_filename != "<stdin>" or readline is None or not hasattr(sys, "ps1"):
         return None
@@ -140,7 +144,9 @@ def _typed_at_prompt(function: Callable[..., Any]) -> Text | None:
 
 
 def _read_again(filename: str, names: dict[str, Any]) -> Text:
-    """As `_read`, where `linecache` asks the loader of the module once only."""
+    """Reads the source text of a file again, also where `linecache` asks the loader of the module
+    only once.
+    """
     entry = linecache.cache.get(filename, ())
     from_loader = len(entry) > 1 and entry[1] is None and not filename.startswith("<")
     if from_loader and hasattr(names.get("__loader__"), "get_source"):
@@ -159,7 +165,9 @@ def note(function: Callable[..., Any]) -> None:
 
 
 def text_of(function: Callable[..., Any]) -> Text:
-    """The text of its file: the one that its code was made from, if that is at hand."""
+    """The source text of a function's file: the text from which its code was made, if it can be
+    found.
+    """
     found = getattr(function, "_tai_text", None)
     return found or _read(function.__code__.co_filename, function.__globals__)
 
@@ -208,7 +216,9 @@ def _settle(function: Callable[..., Any], text: Text, node: Definition) -> Defin
 
 
 def _candidates(function: Callable[..., Any]) -> Iterator[Text]:
-    """The texts that the code of a function may have been made from, the likeliest first."""
+    """The source texts from which the code of a function may have been made, the likeliest
+    first.
+    """
     noted = getattr(function, "_tai_text", None)
     if noted is not None:
         yield noted
@@ -248,7 +258,9 @@ def _is_rewritten(function: Callable[..., Any]) -> bool:
 def _compile(
     code: CodeType, node: Definition, qualname: str, imports: list[str]
 ) -> CodeType | None:
-    """The code of a definition alone, in surroundings as those that `code` was made in."""
+    """The code object of a definition, compiled alone but with surroundings like those of
+    `code`.
+    """
     arguments = node.args
     bare = ast.arguments(
         posonlyargs=[ast.arg(a.arg) for a in arguments.posonlyargs],

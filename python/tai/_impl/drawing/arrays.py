@@ -10,7 +10,7 @@ from ...errors import TaiRuntimeTypeError
 
 
 def numbers(values: Any, dtype: Any = np.float32) -> np.ndarray:
-    """The values of a field, an array or a tensor, on whatever device, as one array."""
+    """The values of a field, an array or a tensor on any device, as one NumPy array."""
     if hasattr(values, "detach"):
         values = values.detach().cpu()
     elif hasattr(values, "to_numpy"):

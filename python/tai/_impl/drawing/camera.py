@@ -10,7 +10,9 @@ import numpy as np
 
 
 def look_at(position: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """The matrix from the world to the camera, whose x is to the right and whose z is backward."""
+    """The matrix from world coordinates to camera coordinates, whose x is to the right and whose z
+    is backward.
+    """
     front = _unit(target - position, np.array([0.0, 0.0, -1.0]))
     right = np.cross(front, up)
     if not np.linalg.norm(right) > 1e-9:  # it looks along `up`
@@ -49,7 +51,7 @@ def _unit(vector: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
 
 
 class Steering:
-    """Moves a camera by keys (W A S D, E up, Q down) and by the mouse."""
+    """Moves a camera by the keys W, A, S, D, E (up) and Q (down), and by the mouse."""
 
     def __init__(self) -> None:
         self._then: float | None = None
@@ -89,7 +91,7 @@ class Steering:
 
 
 def _turned(front: np.ndarray, top: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
-    """A direction, turned to the left and upward, and never quite as far as `top`."""
+    """Turns a direction to the left and upward, but never as far upward as `top`."""
     height = float(np.clip(front @ top, -1, 1))
     flat = _unit(front - height * top, np.zeros(3))
     side = np.cross(top, flat)

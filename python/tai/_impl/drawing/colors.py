@@ -25,7 +25,7 @@ def rgb_bytes(colors: np.ndarray) -> np.ndarray:
 
 
 def color_map(values: np.ndarray) -> np.ndarray:
-    """Numbers from 0 to 1 as colours, three numbers from 0 to 1 each."""
+    """Converts numbers from 0 to 1 to colours, which are three numbers from 0 to 1 each."""
     table = rgb_bytes(np.array(_VIRIDIS)) / 255
     values = np.nan_to_num(values).clip(0, 1)
     places = np.linspace(0, 1, len(table))

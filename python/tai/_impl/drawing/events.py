@@ -30,7 +30,9 @@ class Event(NamedTuple):
 
 
 def fits(event: Event, wanted: Any) -> bool:
-    """Whether an event has a type or key, a pair of both, or one of a list of these."""
+    """Tells whether an event matches a filter: a type, a key, a pair of both, or a list of
+    these.
+    """
     if isinstance(wanted, (list, set)):
         return any(fits(event, one) for one in wanted)
     if isinstance(wanted, tuple):

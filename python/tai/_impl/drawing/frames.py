@@ -49,7 +49,7 @@ class FrameLoop:
         self._panels = Panels(size)
 
     def _open(self, *settings: Any, is_shared: bool = True) -> None:
-        """Opens a window of its own where one can be opened and none is there.
+        """Opens a window for a picture, if there is none yet and the machine can open one.
 
         Args:
             settings: arguments of `Window`.
@@ -67,7 +67,9 @@ class FrameLoop:
 
     @property
     def _screen(self) -> Any:
-        """The window that shows frames, or the files of `tai.view`; None if there is neither."""
+        """The window that shows frames, or the file writer of `tai.view`; None if there is
+        neither.
+        """
         return self._window or self.screen
 
     @property
@@ -87,7 +89,8 @@ class FrameLoop:
         self._is_running = bool(value)
 
     def _show(self, picture: Callable[[], Any], file: str | None, title: str) -> None:
-        """Ends a frame: tells once where frames go, and writes one if there is a place for it.
+        """Ends a frame: says once in which folder frames are written, and writes the frame if there
+        is a folder.
 
         Args:
             picture: makes the Pillow image.
@@ -132,7 +135,7 @@ class FrameLoop:
         if window is not None:
             window.close()
 
-    # Keys and mice. Without a window there is no keyboard.
+    # Keyboard and mouse of the window. Without a window, no key is ever pressed.
 
     def get_events(self, *filters: Any) -> Iterator[Event]:
         """Events since the last call that match a filter; others are discarded.
@@ -168,7 +171,9 @@ class FrameLoop:
         return any(key in held for key in keys)
 
     def get_cursor_pos(self) -> tuple[float, float]:
-        """The position of the mouse; the centre without a window."""
+        """The position of the mouse in the window; the centre of the picture if there is no
+        window.
+        """
         return self._screen.cursor if self._screen else (0.5, 0.5)
 
     def __enter__(self) -> Any:

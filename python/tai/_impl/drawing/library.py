@@ -10,7 +10,7 @@ from typing import Any
 from ...errors import TaiRuntimeError
 
 INSTALL = 'pip install "tai[view]"'
-# Linux's own package of the software renderer, for machines without a driver.
+# The Linux package of the software renderer for OpenGL, for machines without a driver.
 _MESA = "apt install libegl1 libgl1 libgl1-mesa-dri"
 _messages: list[str] = []
 _started: list[Any] = []
@@ -71,7 +71,7 @@ def last_message() -> str:
 
 
 class _Functions:
-    """Finds the functions of OpenGL of a window, be it of X11 or Wayland."""
+    """Finds the functions of OpenGL for a window of X11 or Wayland."""
 
     def __init__(self, glfw: Any, window: Any):
         self.glfw, self.window = glfw, window

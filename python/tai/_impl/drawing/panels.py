@@ -32,7 +32,8 @@ class Panels:
         self.size = size
         self.shown: list[tuple] = []
         self._drawn: list[tuple] = []
-        # Rectangles that take the mouse, of the last whole frame and of this one.
+        # The rectangles in which panels take the mouse, of the last complete frame and of the
+        # present frame.
         self._areas: list[Box] = []
         self._next_areas: list[Box] = []
         self._left = self._top = self._width = self._row = 0.0
@@ -44,21 +45,25 @@ class Panels:
         self._grip: Place | None = None
         self._clicks: list[tuple[Place, Place]] = []
 
-    # The mouse; places are from 0 to 1, the second one upward.
+    # The state of the mouse for panels; positions are from 0 to 1, the second coordinate upward.
 
     def move(self, place: Place) -> None:
         """Notes the new position of the mouse."""
         self._at = (place[0] * self.size[0], (1 - place[1]) * self.size[1])
 
     def press(self) -> bool:
-        """Takes a press of the left button; false if no panel is there."""
+        """Handles a press of the left mouse button; returns false if no panel is at that
+        position.
+        """
         if not any(_is_in(self._at, area) for area in self._areas):
             return False
         self._grip = self._at
         return True
 
     def release(self) -> bool:
-        """Takes the release of the left button; false if the press was on no panel."""
+        """Handles the release of the left mouse button; returns false if the button was pressed
+        outside of all panels.
+        """
         if self._grip is None:
             return False
         self._clicks.append((self._grip, self._at))
@@ -81,7 +86,9 @@ class Panels:
             self._row += _ROW
 
     def end(self) -> None:
-        """Closes the panel that is open, and puts its background below it."""
+        """Ends the panel that is being filled with widgets, and draws its background below the
+        widgets.
+        """
         bottom = max(self._row + _PAD, self._top + (self._height or 0))
         area = (self._left, self._top, self._left + self._width, bottom)
         self._next_areas.append(area)
@@ -122,7 +129,9 @@ class Panels:
         return new
 
     def slider(self, label: str, old: float, low: float, high: float, shown: str = ".3f") -> float:
-        """The number that the mouse has chosen, or the old one; it is between low and high."""
+        """The number that the mouse has chosen on a slider, or the old number; it is between low
+        and high.
+        """
         box = self._row_box()
         value = min(max(old, low), high)
         ends = [end for begin, end in self._clicks if _is_in(begin, box)]
@@ -139,7 +148,7 @@ class Panels:
         return value
 
     def color(self, label: str, old: Any) -> tuple[float, float, float]:
-        """A colour by sliders for red, green and blue, from 0 to 1."""
+        """A colour that the user chooses by sliders for red, green and blue, from 0 to 1."""
         names = (f"{label} {channel}" for channel in ("red", "green", "blue"))
         red, green, blue = (
             self.slider(name, float(value), 0, 1) for name, value in zip(names, old, strict=True)

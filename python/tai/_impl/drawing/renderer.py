@@ -10,8 +10,8 @@ import numpy as np
 from .shaders import MOST_LIGHTS, PROGRAMS
 
 _IDENTITY = np.eye(4, dtype=np.float32)
-# Clips triangles and squares at the eye, and not at the planes of near and far: balls test these
-# pixel by pixel.
+# Triangles and squares are clipped at the eye, and not at the nearest and farthest planes, since
+# balls test these planes pixel by pixel.
 _DEPTH_CLAMP = 0x864F
 _SAMPLES = 4
 
@@ -95,7 +95,9 @@ class Renderer:
         return np.frombuffer(data, np.uint8).reshape(height, width, 4)
 
     def read_depth(self) -> np.ndarray:
-        """The depths of the finished frame, from 0 to 1, (height, width), rows upward."""
+        """The depths of the pixels of the finished frame, from 0 to 1, as an array (height, width)
+        with rows upward.
+        """
         width, height = self._size
         data = self._plain.read(attachment=-1, components=1, dtype="f4", alignment=1)
         return np.frombuffer(data, np.float32).reshape(height, width)
@@ -179,13 +181,13 @@ class Renderer:
     def lines(
         self, view: View, ends: np.ndarray, colors: np.ndarray, width: float, is_deep: bool = True
     ) -> None:
-        """Lines: ends (n, 2, 3), colours (n, 2, 4), and a width in pixels."""
+        """Draws lines: ends (n, 2, 3), colours (n, 2, 4), and a width in pixels."""
         arrays = {"begin": ends[:, 0], "end": ends[:, 1],
                   "begin_color": colors[:, 0], "end_color": colors[:, 1]}  # fmt: skip
         self._render("lines", view, "i", arrays, is_deep=is_deep, width=width)
 
     def image(self, pixels: np.ndarray) -> None:
-        """Stretches bytes (height, width, 3 or 4), rows downward, over the frame."""
+        """Draws a picture over the whole frame: bytes (height, width, 3 or 4), rows downward."""
         height, width, channels = pixels.shape
         texture = self.context.texture(
             (width, height), channels, np.ascontiguousarray(pixels), alignment=1

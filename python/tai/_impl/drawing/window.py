@@ -92,7 +92,7 @@ class Window:
         glfw.set_scroll_callback(self._handle, self._on_wheel)
         glfw.set_window_close_callback(self._handle, self._on_close)
 
-    # Events; GLFW calls these while it is polled.
+    # Callbacks for events, which GLFW calls while it is polled.
 
     def _note(self, kind: str, key: str, delta: tuple[float, float] = (0.0, 0.0)) -> None:
         modifier = tuple(k for k in (events.SHIFT, events.CTRL, events.ALT) if k in self.held)
@@ -162,12 +162,14 @@ class Window:
 
     @property
     def pixels(self) -> tuple[int, int]:
-        """Width and height of its inside in pixels, as the user has resized it; at least one."""
+        """The width and height of the inside of the window in pixels, as the user has resized it;
+        at least one.
+        """
         width, height = self._glfw.get_framebuffer_size(self._handle)
         return max(width, 1), max(height, 1)
 
     def show(self, picture: Any) -> None:
-        """Shows a picture, rows downward, in the place of the one before."""
+        """Shows a picture in the window in place of the previous picture; rows run downward."""
         if not self.is_open:
             return
         array = np.ascontiguousarray(np.asarray(picture)[..., :3])
@@ -185,7 +187,7 @@ class Window:
             self.present(self._texture, is_upright=False)
 
     def present(self, texture: Any, is_upright: bool = True) -> None:
-        """Stretches a texture over the window, whose context is the current one.
+        """Draws a texture over the whole window, whose OpenGL context is the current one.
 
         Args:
             is_upright: whether its rows run upward, as those of OpenGL do.

@@ -30,7 +30,7 @@ def active_elements(field: Any) -> np.ndarray | None:
 
 
 def write_elements(place: Any, where: np.ndarray, values: np.ndarray) -> None:
-    """Writes some elements from Python; in forward mode they have no tangent afterwards."""
+    """Writes some elements from Python. In forward mode, their tangents become zero."""
     place.core.write_elements(where, values)
     dual = origins.dual_of_written(place) if state.forward else None
     if dual is not None:
@@ -38,7 +38,9 @@ def write_elements(place: Any, where: np.ndarray, values: np.ndarray) -> None:
 
 
 def fill_component(field: Any, component: int, value: Any) -> bool:
-    """Fills a component of a vector field where it is active; False if it is not sparse."""
+    """Fills a component of a vector field in active cells; returns False if the field is not
+    sparse.
+    """
     at = active_elements(field)
     if at is None:
         return False
@@ -55,7 +57,7 @@ def fill_component(field: Any, component: int, value: Any) -> bool:
 
 
 def fill_matrices(field: Any, value: Any) -> None:
-    """Fills a vector or matrix field with a number or an element, where it is active."""
+    """Fills a vector or matrix field with a number or an element, in active cells only."""
     values = np.asarray(value.to_numpy() if hasattr(value, "to_numpy") else value)
     single = field.single
     if values.ndim == 0 and single is not None:

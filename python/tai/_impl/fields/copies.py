@@ -13,7 +13,8 @@ from ...errors import TaiRuntimeTypeError
 from ..base import state
 from ..history import origins
 
-# Gives the kernels that copy; module `ad.library`, which all that follows copies loads, sets it.
+# A function that returns the kernels for differentiated copies; module `ad.library` sets this
+# variable when it is loaded.
 get_kernels: Any = None
 
 

@@ -25,8 +25,10 @@ _LONGEST = 1000
 
 
 def _variable_of(field: Any) -> str | None:
-    """The variable of the program that holds a field, or the attribute of an object in a variable,
-    or a list or dictionary in one of them: no kernel may have named the field yet."""
+    """Finds the variable of the program that holds a field, or the attribute of an object in a
+    variable, or a list or dictionary in one of them, because no kernel may have named the field
+    yet.
+    """
     frame: Any = sys._getframe(1)
     while frame is not None and frame.f_globals.get("__name__", "").startswith("tai."):
         frame = frame.f_back
@@ -71,7 +73,7 @@ class Field(Elements, Shareable):
     batch: Any = None
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """A copy or a loaded field has the same type, levels and values, and memory of its own."""
+        """A copied or unpickled field has the same type, levels and values, but its own memory."""
         describe = importlib.import_module("tai._impl.fields.pickled").describe
         return describe(self)
 
@@ -176,7 +178,7 @@ class Field(Elements, Shareable):
 
     @property
     def snode(self) -> Place | None:
-        """The place of the field, below its level; None before it is placed."""
+        """The storage place of the field below its level; None before the field is placed."""
         if self.level is None:
             return None
         if self._place is None:
@@ -199,11 +201,13 @@ class Field(Elements, Shareable):
         raise NotImplementedError
 
     def materialize(self, frame: Any = None) -> None:
-        """Allocates the field, with all that is laid out beside it, unless that has been done."""
+        """Allocates the field, with all fields of its tree, unless that has been done."""
         raise NotImplementedError
 
     def storage(self) -> tuple[ScalarField, int]:
-        """The field of numbers, vectors or matrices that holds it, and which component of that."""
+        """The field of numbers, vectors or matrices to which this storage belongs, and the
+        component of that field.
+        """
         raise NotImplementedError
 
     # Whole-field operations

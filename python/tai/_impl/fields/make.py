@@ -31,7 +31,8 @@ def make_field(
 ) -> Field:
     """Makes a field, which is placed under `ti.root` if it has a shape."""
     if dtype is float and shape is not None and not to_shape(shape):
-        # One element is not worth fewer digits: it is a sum, or a parameter of the program.
+        # A field of one element keeps all digits, because it is a sum or a parameter of the
+        # program.
         dtype = dtypes.default_fp()
     made: Any
     if element_shape:

@@ -68,7 +68,9 @@ class MatrixField(Field):
         return self._components
 
     def get_scalar_field(self, *indices: int) -> ComponentField:
-        """The field of one component, to read, to write, or to place by itself."""
+        """The field of one component of a vector or matrix field, to read, to write, or to place
+        separately.
+        """
         if len(indices) == 2 and self.ndim == 1 and indices[1] == 0:
             indices = indices[:1]
         if len(indices) != self.ndim or any(
@@ -87,7 +89,7 @@ class MatrixField(Field):
 
     @property
     def single(self) -> ScalarField | None:
-        """The place that holds whole elements, or None where the components are separate."""
+        """The storage place of whole elements, or None if the components are stored separately."""
         return self._single
 
     @property
@@ -105,7 +107,7 @@ class MatrixField(Field):
             raise TaiRuntimeError(f"field '{self.name}' is placed already")
         # Ctrl-C may have interrupted an earlier call when half of this was done.
         if splits:
-            # A gradient is stored as its field is: one array for each component.
+            # The gradient is stored in the same way as the field: an array for each component.
             for component in self.components:
                 if component._level is None:
                     component.put_into(node, offset)
@@ -122,7 +124,7 @@ class MatrixField(Field):
 
     @property
     def parts(self) -> list[ScalarField]:
-        """The places that hold the field: one, or one for each component."""
+        """The storage places of the field: a single one, or one for each component."""
         return [self._single] if self._single is not None else list(self.components)
 
     @property

@@ -18,7 +18,9 @@ _LETTERS = 100_000
 
 
 def field_html(field: Any) -> str:
-    """A line about the field, one about its numbers, and a picture where it has two dimensions."""
+    """HTML of a field for notebooks: a line about the field, a line about its numbers, and a
+    picture if it has two dimensions.
+    """
     head = html.escape(repr(field))
     if field.level is None:
         return f"<code>{head}</code>"
@@ -66,7 +68,7 @@ def _picture(array: np.ndarray, field: Any) -> str:
 
 
 def kernel_html(kernel: Any, function: Any, last: Any, count: int) -> str:
-    """A line about a kernel; a click shows its source, another one its IR.
+    """HTML of a kernel for notebooks: a click shows the source of the kernel, another click its IR.
 
     Args:
         kernel: of which the first line is.

@@ -58,7 +58,9 @@ def _size(part: Any) -> int:
 
 
 def _body_size(body: list, wanted: Any = None, line: int = 1) -> int:
-    """Bytes of a cell; with `wanted`, one of its parts, the offset of that."""
+    """The number of bytes of a cell; if a part of the cell is given as `wanted`, the offset of that
+    part.
+    """
     offset = 0
     for part in body:
         offset = _align(offset, max(line, _alignment(part)))

@@ -20,7 +20,9 @@ from .snode import SNode
 
 
 class ScalarField(Field):
-    """One number per element; also the storage of a vector field, as one place."""
+    """A field of one number per element; also the storage of a vector field whose elements are
+    stored whole.
+    """
 
     def __init__(
         self,
@@ -65,7 +67,7 @@ class ScalarField(Field):
         node.children.append(self)
 
     def place_missing_grad(self) -> None:
-        """Places a gradient or dual that was asked for and not placed, beside the field."""
+        """Places a gradient or dual that was requested but not placed, beside its field."""
         for which, needed in (("grad", self.needs_grad), ("dual", self.needs_dual)):
             if needed:
                 companion = self._companion(which)
@@ -169,7 +171,7 @@ class ScalarField(Field):
         return program is not None and program.fields.get(self.symbol) is self
 
     def storage(self) -> tuple[ScalarField, int]:
-        """The place that holds the field, and the component in it that comes first."""
+        """The storage place of the field, and the number of its first component there."""
         return self, 0
 
     # Elements

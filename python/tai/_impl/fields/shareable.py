@@ -43,7 +43,8 @@ class Shareable:
             BufferError: a sparse field, or elements that do not lie evenly; or NumPy asks for a
                 field on a GPU.
         """
-        # NumPy asks like this: from whatever is on a GPU it makes an error that names no field.
+        # This is how NumPy asks for the memory of a field. For memory on a GPU, its own error would
+        # not name the field.
         if stream is _UNSAID and dl_device is None:
             sharing.check_on_host(self)
         stream = None if stream is _UNSAID else stream
@@ -58,7 +59,8 @@ class Shareable:
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
-        """The memory of a field on a GPU for CuPy and Numba; elsewhere there is no such attribute.
+        """Describes the memory of a field on a GPU for CuPy and Numba; without a GPU there is no
+        such attribute.
 
         It lives as long as the field. Work on streams other than the default one waits for
         launches by `ti.let_stream_wait`.

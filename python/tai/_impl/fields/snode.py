@@ -139,7 +139,9 @@ class SNode:
         return child
 
     def _check_list_axes(self, kind: str, axes: Sequence[int]) -> None:
-        """The index along a list must be one number: its axis is divided by no other level."""
+        """The index along a list must be a single number, because no other level divides the axis
+        of a list.
+        """
         above = self.path()
         for axis in axes:
             for level in above:
@@ -404,7 +406,9 @@ class SNode:
         return f"{self.kind}<[{head}]{chunk}, {', '.join(self._bodies()[role])}>"
 
     def _bodies(self) -> dict[str, list[str]]:
-        """The contents of the cells in assembly, for each role that has cells of its own."""
+        """The contents of the cells of this level in MLIR assembly, for each role (primal, grad,
+        dual) that has its own cells.
+        """
         bodies: dict[str, list[str]] = {}
         for role, parts in self.contents().items():
             body = bodies.setdefault(role, [])
@@ -417,7 +421,8 @@ class SNode:
         return bodies
 
     def contents(self) -> dict[str, list]:
-        """The contents of the cells, for each role that has cells of its own.
+        """The contents of the cells of this level, for each role (primal, grad, dual) that has its
+        own cells.
 
         A part is a list of fields side by side, or a pair of a level and one of its roles.
         """
@@ -538,8 +543,9 @@ class Root(SNode):
         self.number: int | None = None
         # The reason why the tree could not be allocated, or None.
         self.refused: str | None = None
-        # Held by the thread that allocates the tree. No `Lock`: roots come and go, and Python loses
-        # a Ctrl-C that comes as the set of all locks forgets one. See `root.begin_in_child`.
+        # A lock of the thread that allocates the tree. It is no `Lock` of this package: trees are
+        # made and freed often, and Python would lose a Ctrl-C that comes while the set of all such
+        # locks forgets one. See `root.begin_in_child`.
         self.lock: Any = threading.RLock()
         # Kernels that were compiled for the tree; they are dropped with it.
         self.users: weakref.WeakSet[Any] = weakref.WeakSet()
@@ -556,7 +562,8 @@ class Root(SNode):
                     self.refused, self.allocated = error.message, True
                 raise
             except BaseException:
-                # Ctrl-C, say: the fields are there as soon as they are used again.
+                # After an interruption, such as Ctrl-C, the fields are allocated when they are used
+                # next.
                 self._undo(program)
                 raise
 

@@ -31,7 +31,8 @@ class StructType:
     and matrix types, and struct types.
     """
 
-    # Fields and matrices, which know nothing of structs, look for this mark.
+    # A mark by which fields and matrices recognise a struct type, since they cannot import its
+    # class.
     _is_struct_type = True
 
     # The name of the class that it was made of, as in Python.
@@ -65,7 +66,9 @@ class StructType:
             former.drop_users()
 
     def __getattr__(self, name: str) -> Any:
-        """A method: `Base.step(self)` in a method of a struct that derives from `Base`."""
+        """A method of a struct type, called by the name of the type: `Base.step(self)` in a method
+        of a struct that derives from `Base`.
+        """
         if name in vars(self).get("methods", ()):
             method = self.methods[name]
             return _OfReceiver(method) if hasattr(method, "_tai_func") else method
@@ -73,7 +76,9 @@ class StructType:
         raise missing_attribute(f"the struct type has no attribute '{name}'", name, known)
 
     def __mro_entries__(self, bases: tuple) -> tuple[type]:
-        """A class that derives from this type has its stand-in as a base; see `dataclass`."""
+        """Called for a Python class that derives from this struct type: a stand-in class becomes
+        its base; see `dataclass`.
+        """
         return (self._stand_in,)
 
     @functools.cached_property
@@ -86,16 +91,21 @@ class StructType:
         found: Any = sys.modules.get(home)
         for part in name.split("."):
             found = getattr(found, part, None)
-        # By name, as classes are: functions that it has for methods cannot be pickled alone.
+        # A struct type is pickled by name, as classes are, because the functions that are its
+        # methods cannot be pickled alone.
         return name if found is self else (StructType, (self.members, self.methods))
 
     def adopt(self, other: StructType) -> None:
-        """Takes the methods of the type that its module, loaded again, defines in its place."""
+        """Takes over the methods of the struct type that a reloaded module defines under the same
+        name.
+        """
         self.methods.clear()
         self.methods.update(other.methods)
 
     def bind(self, args: tuple, kwargs: dict) -> dict[str, Any]:
-        """The value of each member; zero if none is given."""
+        """The values of the members from the arguments of a constructor; a member that is not given
+        is zero.
+        """
         if len(args) == 1 and not kwargs and isinstance(args[0], (dict, Struct)):
             kwargs = dict(items_of(args[0]))
             args = ()
@@ -201,7 +211,9 @@ class _OfReceiver:
 
 
 class _StandIn:
-    """A class that stands for a struct type where another class derives from it."""
+    """A Python class that represents a struct type when another class derives from the struct
+    type.
+    """
 
     _tai_struct: StructType
 
@@ -213,7 +225,7 @@ class _StandIn:
 
 
 def _method(struct: Struct, name: str, problem: str) -> Any:
-    """A method of the class that a struct type was made of.
+    """Finds a method of the class from which a struct type was made.
 
     Raises:
         AttributeError: it has none of that name, as `problem` says.
@@ -293,7 +305,7 @@ class Struct:
 
 
 def items_of(struct: Any) -> Any:
-    """The names and values of a struct, or of a dictionary in its place."""
+    """The names and values of the members of a struct, or of a dictionary that stands for one."""
     return struct.entries.items() if isinstance(struct, Struct) else struct.items()
 
 
@@ -312,14 +324,18 @@ def first_of(field: StructField) -> Field:
 
 
 def parts_of(field: Field) -> list:
-    """The places of a field: of a struct all of its leaves, of columns each."""
+    """The storage places of a field: of a struct field, the places of all members; of a vector
+    field, a place for each separate component.
+    """
     if isinstance(field, StructField):
         return [part for leaf in leaves_of(field) for part in parts_of(leaf)]
     return list(getattr(field, "parts", [field]))
 
 
 def _or_member(name: str, own: Callable[[StructField], Any]) -> Any:
-    """An attribute of a struct field, unless a member has its name: then that one, as in Taichi."""
+    """Gets an attribute of a struct field; if a member has the same name, the member goes first, as
+    in Taichi.
+    """
     return property(
         lambda self: self.members[name] if name in self.members else own(self), doc=own.__doc__
     )

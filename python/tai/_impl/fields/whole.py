@@ -8,7 +8,7 @@ from .scalar import ScalarField
 
 
 class WholeElements(ScalarField):
-    """The place of a matrix field that is stored element by element."""
+    """The storage of a matrix field whose elements are stored whole, one after another."""
 
     def __init__(self, field: Any):
         super().__init__(field.dtype, field._name, field.role, field.element_shape)

@@ -28,13 +28,14 @@ from .stacked import Stacks
 from .xla_buffers import DeviceBuffer, number_of, store_number, zeros_like
 
 _TARGET = "tai_call"
-# Executables that JAX keeps on disk belong to the process that made them.
+# A random number in the name of each operator, because executables that JAX keeps on disk can only
+# be used by the process that made them.
 _SESSION = secrets.randbits(62)
 _tasks: list[_Task] = []
 
 
 class _Array:
-    """An array with a gradient, for kernels: both are memory of XLA."""
+    """An array and its gradient as kernels take them; the memory of both belongs to XLA."""
 
     def __init__(self, array: Any, grad: Any):
         self.array, self.grad = array, None if grad is None else _Array(grad, None)
@@ -55,11 +56,13 @@ def _with_gradient(array: Any, grad: Any) -> Any:
 
 
 class _Task:
-    """A forward call, or the gradient by some inputs, for operands of given ranks."""
+    """What XLA calls: the forward run of an operator, or its gradient by some inputs, for operands
+    with a number of batch dimensions.
+    """
 
     def __init__(self, operator: Operator, wanted: tuple[int, ...] | None, ranks: tuple[int, ...]):
         self._operator, self._wanted, self._ranks = operator, wanted, ranks
-        # Types of operands for which the kernels are known not to write to them.
+        # Types of operands for which it was checked that the kernels do not write to inputs.
         self._checked: set[tuple] = set()
 
     def run(self, operands: list[Any], results: list[Any]) -> None:
@@ -91,7 +94,7 @@ class _Task:
         if depth == 1 and self._run_batch(operands, results):
             return
         for number in range(results[0].shape[0]):
-            # Operands that are the same for all elements have an extent of 1.
+            # An operand that is the same for all elements of the batch has the extent 1.
             one = [o[(number if o.shape[0] > 1 else 0, ...)] for o in operands]
             self._run(one, [r[(number, ...)] for r in results])
 
@@ -314,13 +317,15 @@ class Operator:
 
     def _forward(self, *primals: Any) -> Any:
         inputs = tuple(p.value for p in primals)
-        # The names of inputs whose gradient is wanted are part of the structure.
+        # The set of inputs whose gradient is wanted is encoded in the keys of a dictionary, which
+        # are part of the traced structure.
         wanted = {
             str(n): ()
             for n, p in enumerate(primals)
             if p.perturbed and jnp.issubdtype(p.value.dtype, jnp.floating)
         }
-        # Through the rule once more, for gradients of gradients to reach the refusal.
+        # The differentiable function is called once more, so that a gradient of a gradient reaches
+        # the error for it.
         return self._differentiable(*inputs), (inputs, wanted)
 
     def _backward(self, residuals: Any, bars: Any) -> tuple:
@@ -340,7 +345,7 @@ class Operator:
         return tuple(gradients)
 
     def _call_gradient(self, wanted: tuple[int, ...], *operands: Any) -> list[Any]:
-        # The last results are the memory of the seeds, which a sweep uses up.
+        # The last results share the memory of the seeds, which the reverse sweep overwrites.
         shown = [operands[n] for n in wanted] + list(operands[len(self.inputs) :])
         types = [jax.ShapeDtypeStruct(one.shape, one.dtype) for one in shown]
         return self._emit(types, operands, wanted, len(wanted))[: len(wanted)]
@@ -393,7 +398,7 @@ class Operator:
                 outputs.append(zeros_like(type_, operands[0]))
                 continue
             seed = next(seeds)
-            # A gradient that does not read outputs takes any memory for them.
+            # A gradient that does not read the outputs accepts any memory as outputs.
             value = zeros_like(type_, operands[0]) if needs_tape else seed
             outputs.append(_with_gradient(value, seed))
         if needs_tape:

@@ -49,5 +49,7 @@ class Stacks:
         return None
 
     def refuse(self, names: list[str], error: TaiError) -> None:
-        """From now on, each element of such a batch has a launch of its own."""
+        """Notes that a batch of these inputs cannot run as one launch, so that each element gets
+        its own launch from now on.
+        """
         self.reasons[frozenset([*names, *self._outputs])] = error.message

@@ -24,10 +24,11 @@ from ..launch.stacked import StackedKernel
 from .parameters import asks_for_tape, check_outputs, in_order, kinds_of
 from .stacked import Stacks
 
-# Looked up once: each costs as much as a part of a launch.
+# Functions of torch that are looked up once, because each look-up costs a notable share of a
+# launch.
 _is_grad_enabled = torch.is_grad_enabled
 _operator_calls = native.operator_calls
-# `Function.apply` without its own look at transforms, which a call has had.
+# `Function.apply` without its check for transforms, which the caller has made already.
 _apply = torch._C._FunctionBase.__dict__["apply"]
 _unwrap = torch._C._functorch.unwrap_if_dead
 _is_transformed = torch._C._are_functorch_transforms_active
@@ -68,13 +69,14 @@ class Operator:
         self._takes_numbers = not all(self._is_tensor)
         # The launcher of a kernel takes tensors as they are.
         self._is_kernel = isinstance(function, Kernel)
-        # For each parameter in order: whether it is an input, and its number among those or among
-        # the outputs.
+        # For each parameter of the operator in order: whether it is an input, and its number among
+        # the inputs or among the outputs.
         self._places = [
             (n in self.inputs, (self.inputs if n in self.inputs else self.outputs).index(n))
             for n in self._order
         ]
-        # For each output: the number of the input that it is like, or None.
+        # For each output of the operator: the number of the input with the same shape and type, or
+        # None.
         self._models = [
             self.inputs.index(s) if isinstance(s, str) else None
             for s in (outputs[n] for n in self.outputs)
@@ -84,11 +86,12 @@ class Operator:
         self._likes = numbers if len(numbers) == len(self._models) else None
         self._known: set[tuple] = set()
         self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
-        # Torch has less to pass to a class that knows its operator.
+        # A subclass for each operator, so that torch need not pass the operator as an argument.
         self._eager: Any = type("_EagerCall", (_Eager,), {"operator": self})
         self._apply = _apply.__get__(None, self._eager)
         self._make_calls()
-        # Whether a gradient needs values of outputs that later stores overwrite.
+        # A gradient needs a tape if the function is no kernel, since later launches of the function
+        # may overwrite outputs that its gradient reads.
         self._needs_tape = not self._is_kernel
         plain = re.sub(r"\W", "_", self.__name__)
         self.name = name or f"{plain}_{next(_numbers)}"
@@ -375,7 +378,8 @@ class Operator:
             return []
         # The seeds are copies, because the sweep overwrites adjoints of outputs.
         seeds = [bar.clone(memory_format=torch.contiguous_format) for bar in bars]
-        # A sweep that does not look at the values of outputs takes any memory for them.
+        # A reverse sweep that does not read the values of the outputs accepts any memory as
+        # outputs.
         outputs = (
             self._allocate(inputs, torch.zeros)
             if self._needs_tape
@@ -419,7 +423,8 @@ class Operator:
             inputs = in_order(f"operator '{self.__name__}'", self.inputs, inputs, named)
         if not _is_compiling():
             kind = self._classify(*inputs)
-            # Nothing but autograd stands between a call and the memory of plain tensors.
+            # For plain tensors, if no transform, dispatcher, autocast or tracing of torch is
+            # active, the operator is called without torch's dispatcher.
             if kind and not (
                 _is_transformed() or _count_dispatchers() or _is_any_autocast() or _is_tracing()
             ):
@@ -435,7 +440,9 @@ class Operator:
         return self._call_by_torch(inputs)
 
     def _call_by_torch(self, inputs: tuple) -> Any:
-        """A call that something else of torch takes part in, or with wrong inputs."""
+        """Calls the operator through torch's dispatcher: some mechanism of torch, such as a
+        transform, takes part, or an input is wrong.
+        """
         pairs = zip(inputs, self._is_tensor, strict=True)
         if any(is_tensor is not isinstance(value, torch.Tensor) for value, is_tensor in pairs):
             inputs = self._checked(inputs)
@@ -445,7 +452,8 @@ class Operator:
         return self._op(*inputs)
 
     def _checked(self, inputs: tuple) -> tuple:
-        """The inputs, with tensors of one number as numbers where the operator takes numbers.
+        """Checks the inputs; a tensor of one number becomes a number where the operator takes a
+        number.
 
         Raises:
             TaiRuntimeTypeError: an input is of the wrong kind.

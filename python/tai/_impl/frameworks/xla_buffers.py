@@ -59,7 +59,9 @@ class DeviceBuffer(DeviceArray):
 
 
 class _Allocation:
-    """Memory that goes back, in the order of the stream, with the last buffer that shows it."""
+    """Device memory that is freed, in the order of the stream, when no buffer refers to it any
+    more.
+    """
 
     def __init__(self, size: int, stream: int):
         found = ctypes.c_uint64()

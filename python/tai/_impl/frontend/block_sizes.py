@@ -34,11 +34,12 @@ def check_block_dim(value: Any, options: Options) -> int:
 
 
 def block_dim_of(loop: dict[str, Any], options: Options) -> int:
-    """The block size that the options of `ti.loop_config` ask for; 0 if they leave it open."""
+    """The block size that the options of `ti.loop_config` request; 0 if they request none."""
     if threads := loop.get("block_dim", 0):
         return threads
     if loop.get("block_dim_adaptive", True) or options.arch != "cuda":
         return 0
-    # The size is not to be chosen for this loop: the one that all others begin with.
+    # The loop must not get an adapted block size: it gets the usual size, which is the initial size
+    # of all loops.
     usual = options.default_gpu_block_dim or _USUAL
     return min(usual, options.max_block_dim) if options.max_block_dim else usual

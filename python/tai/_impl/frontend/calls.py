@@ -115,7 +115,9 @@ class Calls(Part):
         return self.call(function, args, kwargs, node)
 
     def _references(self, function: Any) -> Callable[[int | str], bool]:
-        """Tells which arguments a function may change, by number or name: its templates."""
+        """Returns a predicate that tells, by number or name, which arguments a called function may
+        change: the arguments that are templates.
+        """
         info = getattr(function, "_tai_func", None)
         if info is None or not info.has_templates:
             return lambda which: False
@@ -138,7 +140,9 @@ class Calls(Part):
         return self.visit(node)
 
     def _arms_of_select(self, nodes: list[ast.expr]) -> list:
-        """The arguments of a select. A check inside an arm applies only if the arm is taken."""
+        """The arguments of `ti.select`. A run-time check inside of an argument applies only if that
+        argument is selected.
+        """
         if any(isinstance(n, ast.Starred) for n in nodes):
             return self.expressions.items(nodes)
         found = [self.visit(nodes[0])]

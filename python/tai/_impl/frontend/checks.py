@@ -61,7 +61,8 @@ _MODULES = {
     "io": None,
     "posix": None,
 }
-# Methods of fields, arrays and levels that move data, and functions of this package that act.
+# Names of methods of fields, arrays and levels that move data or change the layout, and functions
+# of this package with side effects.
 _MOVES = {
     "fill", "to_numpy", "from_numpy", "copy_from", "to_torch", "from_torch", "to_paddle",
     "from_paddle", "to_dlpack", "__dlpack__", "deactivate_all", "destroy", "active_cells",
@@ -106,7 +107,9 @@ def is_struct(thing: Any) -> bool:
 
 
 def refuse_non_number(thing: Any, operands: tuple) -> None:
-    """Fields and functions are no operands; say so in the user's words."""
+    """Raises an error if an operand is a field, a function or a text, described in the words of the
+    user.
+    """
     if isinstance(thing, (Field, ArrayArgument)) or thing is None or (
         callable(thing) and not isinstance(thing, (Value, DataType)) and not hasattr(
             thing, "is_matrix")
@@ -126,11 +129,14 @@ class Checks(Part):
     def __init__(self, context: Context, compile_time: CompileTime):
         super().__init__(context)
         self.compile_time = compile_time
-        # Containers that the program makes while it is compiled, and at which depth: by identity.
+        # Containers that the program has made while the kernel is compiled, by identity, and the
+        # loop depth at which each was made.
         self._made: dict[int, tuple[Any, int]] = {}
 
     def remember(self, thing: Any) -> Any:
-        """Notes a container that the program makes here, and gives it back."""
+        """Remembers that the program has made a container at this depth of the kernel, and returns
+        the container.
+        """
         if isinstance(thing, tuple(_CHANGES)):
             self._made[id(thing)] = (thing, self.context.depth_below_top)
         return thing
@@ -184,7 +190,9 @@ class Checks(Part):
             )
 
     def warn_of_hidden_field(self, name: str) -> None:
-        """Says that a new variable has the name of a field, of which an element may be meant."""
+        """Warns that a new variable has the name of a field, since an element of the field may have
+        been meant.
+        """
         frame = self.frame
         found = frame.closure.get(name, frame.globals.get(name))
         if not isinstance(found, Field) or found.level is None:
@@ -242,7 +250,8 @@ class Checks(Part):
         )
 
     def warn_of_stopped_counter(self, node: ast.stmt, place: Place, value: Any) -> None:
-        """Says that steps of one size end in a number whose neighbours are farther than a step.
+        """Warns that steps of one size end in a number whose neighbours are farther away than a
+        step.
 
         Args:
             node: the statement `target += value`.
@@ -274,7 +283,7 @@ class Checks(Part):
         )
 
     def warn_of_fraction(self, what: str) -> None:
-        """Says once for each line that a float is stored in a whole number."""
+        """Warns, once for each line, that a float is stored in a whole number."""
         node, frame = self.context.diagnostics.last_node, self.frame
         text = (
             f"kernel '{self.context.kernel_name}': {what} takes a float, and drops its fraction\n"
@@ -285,6 +294,7 @@ class Checks(Part):
         )
 
 
-# Digits of the types that a counter may leave, in bits: a sum of 2^bits steps takes no more.
+# The types that a counter may overflow in precision, with their digits in bits: once a sum has
+# reached 2^bits steps, further steps change nothing.
 _DIGITS = {"f16": 11, "bf16": 8}
 _shown: dict = {}

@@ -17,10 +17,11 @@ from .refs import ArrayArgument, Variable
 from .scope import Bound
 from .structs import StructPlace, changes_struct
 
-# Stands for a function that is known only when the code around it is compiled.
+# A marker for a function that is known only when the surrounding code has been compiled.
 _UNKNOWN = object()
 
-# The least that `ti.init(unrolling_limit=…)` can mean: Taichi's only warns, from 32 on.
+# The least limit of unrolled iterations that `ti.init(unrolling_limit=…)` sets. In Taichi this
+# option only gives a warning, and its default is 32.
 _UNROLLING_LIMIT = 65536
 
 
@@ -91,7 +92,9 @@ class CompileTime(Part):
         return _UNKNOWN if is_local else self.static_callee(node)
 
     def _object(self, node: ast.expr) -> Any:
-        """The object before the dot of a callee, in the same way."""
+        """Evaluates the object before the dot of a call while compiling; a marker stands for an
+        unknown object.
+        """
         if isinstance(node, ast.Subscript):
             return self._item(node)
         if isinstance(node, ast.Attribute):
@@ -103,7 +106,9 @@ class CompileTime(Part):
         return self.static_callee(node)
 
     def _item(self, node: ast.Subscript) -> Any:
-        """An item of a Python container, in the same way; None for an element of a field."""
+        """Evaluates an item of a Python container while compiling; None for an element of a
+        field.
+        """
         container = self._object(node.value)
         if container is _UNKNOWN or not isinstance(container, (list, tuple, dict)):
             return container if container is _UNKNOWN else None

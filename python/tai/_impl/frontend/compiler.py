@@ -47,7 +47,8 @@ from .templates import Reads
 from .while_loops import WhileLoops
 from .worlds import statements_of
 
-# Calls of Python that the compiler may need: some thirty for each statement inside of another.
+# The limit of Python's recursion while a kernel is compiled: a nested statement takes about thirty
+# calls.
 _RECURSION = 20000
 
 
@@ -58,7 +59,8 @@ _OWN = (Part, Context, Diagnostics, Emitter, Builder, Frame)
 class _DeepRecursion(native.WithBlock):
     """A context in which inlined functions may call one another to a greater depth."""
 
-    # The limit belongs to all threads: the instances that need it, and the limit before them.
+    # The recursion limit belongs to all threads, so these variables hold the instances that need
+    # the greater limit, and the former limit.
     _change = Lock()
     _all: ClassVar[set[_DeepRecursion]] = set()
     _before: ClassVar[int | None] = None

@@ -89,10 +89,12 @@ class Kernel:
 
 
 class Walker(Protocol):
-    """The compiler as a whole, which parts call for the nodes inside of their own."""
+    """The interface to the whole compiler, which its parts call for nested nodes of the syntax
+    tree.
+    """
 
     def visit(self, node: ast.AST) -> Any:
-        """Compiles a node; gives the value of an expression."""
+        """Compiles a node of the syntax tree; returns the value if the node is an expression."""
 
     def body(self, statements: list[ast.stmt]) -> None:
         """Compiles the statements of a block; statements behind an exit run only without it."""

@@ -14,7 +14,8 @@ from ...errors import TaiSyntaxError
 
 
 def plain_definition(node: ast.FunctionDef, filename: str) -> ast.FunctionDef:
-    """The definition without these statements; `node` itself if it has none of them.
+    """Returns a function definition without `match` statements and loops with `else`; `node` itself
+    if it has none of them.
 
     Raises:
         TaiSyntaxError: a pattern that kernels do not know.
@@ -40,7 +41,9 @@ def _is_sugar(node: ast.AST) -> bool:
 
 
 class _MarkBreaks(ast.NodeTransformer):
-    """Clears the variable `name` before each `break` of the loop around the statements."""
+    """Inserts an assignment that sets the variable `name` to False before each `break` of the
+    surrounding loop.
+    """
 
     def __init__(self, name: str):
         self._name, self.found = name, False
@@ -50,7 +53,7 @@ class _MarkBreaks(ast.NodeTransformer):
         return [_assign(self._name, ast.Constant(False), node), node]
 
     def visit_For(self, node: Any) -> Any:
-        # A `break` in the `else` of a loop inside leaves this one.
+        # A `break` in the `else` block of a nested loop leaves the surrounding loop.
         node.orelse = [s for o in node.orelse for s in _listed(self.visit(o))]
         return node
 
@@ -69,7 +72,9 @@ class _Replace(ast.NodeTransformer):
 
 
 def _placed(made: Any, node: Any) -> Any:
-    """`made`, all of which stands where `node` does, except parts that have a place already."""
+    """Gives the new nodes `made` the source location of `node`, except nodes that have a location
+    already.
+    """
     for part in ast.walk(made):
         if "lineno" in part._attributes and not hasattr(part, "lineno"):
             ast.copy_location(part, node)
@@ -86,7 +91,7 @@ class _Desugar(ast.NodeTransformer):
         self._filename, self._count = filename, 0
 
     def _name(self, what: str) -> str:
-        """A name that no program has: the dot is not part of one."""
+        """A variable name that no program can use, because it contains a dot."""
         self._count += 1
         return f"{what}.{self._count}"
 
@@ -130,7 +135,8 @@ class _Desugar(ast.NodeTransformer):
 
     def visit_Match(self, node: ast.Match) -> Any:
         first: list[ast.stmt] = []
-        # A guard may change a variable; the subject keeps the value that it had.
+        # A guard of a case may change a variable, but the subject of the `match` keeps the value
+        # that it had.
         guards = any(case.guard is not None for case in node.cases)
         subject = self._subject(node.subject, first, guards)
         root: list[ast.stmt] = []
@@ -156,7 +162,9 @@ class _Desugar(ast.NodeTransformer):
         return first + root
 
     def _subject(self, node: ast.expr, first: list[ast.stmt], copies: bool) -> Any:
-        """The subject as an expression that is cheap to repeat; of a tuple, those of its items."""
+        """An expression for the subject of a `match` that is cheap to repeat; for a tuple, an
+        expression for each item.
+        """
         if isinstance(node, (ast.Tuple, ast.List)):
             return [self._subject(item, first, copies) for item in node.elts]
         if isinstance(node, ast.Constant) or (isinstance(node, ast.Name) and not copies):
@@ -166,7 +174,7 @@ class _Desugar(ast.NodeTransformer):
         return _placed(ast.Name(name, ast.Load()), node)
 
     def _test(self, pattern: ast.pattern, subject: Any, names: dict[str, ast.expr]) -> Any:
-        """The condition that the subject has the pattern, or None if it surely has."""
+        """The condition that the subject of a `match` has the pattern, or None if it always has."""
         if isinstance(pattern, ast.MatchAs):
             inner = None if pattern.pattern is None else self._test(pattern.pattern, subject, names)
             if pattern.name is not None:

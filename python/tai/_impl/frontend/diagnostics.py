@@ -64,7 +64,8 @@ class Diagnostics:
         kind = next((k for e, k in kinds.items() if isinstance(error, e)), TaiCompilationError)
         text = str(error) or type(error).__name__
         text = re.sub(r"'(\w+)'", lambda found: f"'{KINDS.get(found[1], found[1])}'", text)
-        # "not StructValue": a name of one word could be one of the program.
+        # Messages of Python name internal classes, as in "not StructValue": only these class names
+        # are replaced, because a simple word could be a name of the program.
         text = re.sub(_OWN_CLASSES, lambda found: with_article(KINDS[found[0]]), text)
         # A message such as "MatrixValue.dot() missing …" names a class that the program does not
         # have.

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...errors import TaiTypeError
 
-# Expressions with {0}, {1}, … for the arguments; one for each name that NumPy or `math` has.
+# For each function of NumPy and `math` on numbers: the expression that computes the same in
+# kernels, with {0}, {1}, … for the arguments.
 _OF_NUMBERS = {
     "absolute": "ti.abs({0})", "fabs": "ti.abs({0})", "square": "{0} ** 2",
     "cbrt": "ti.cbrt({0})", "exp2": "ti.math.exp2({0})", "expm1": "ti.math.expm1({0})",
@@ -119,7 +120,9 @@ def _text(node: ast.expr) -> str:
 
 
 def error_of(function: Callable[..., Any], node: ast.Call) -> TaiTypeError:
-    """The error for a call with values of a kernel; its hint has the same in kernels."""
+    """The error for a call of another library's function with values of a kernel; its hint shows
+    the equivalent expression in kernels.
+    """
     name = ast.unparse(node.func)
     texts = [_text(argument) for argument in node.args]
     hint = _NO_ANSWER

@@ -6,7 +6,8 @@ import re
 
 from ...errors import TaiError
 
-# The first that is found in the message; groups of the pattern fill the hint.
+# Patterns of messages, and the hint for each. The first pattern that is found in the message
+# counts; its groups fill the hint.
 _HINTS = [
     (r"^a vector .* cannot be stored where one number|^expects a number of type .* got a vector",
      "take one component, such as v[0] or v.x"),

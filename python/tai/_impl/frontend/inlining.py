@@ -18,7 +18,7 @@ from .scope import Bound, Frame
 from .source import function_ast
 from .structs import Reference, StructPlace, StructValue, StructVariable, as_struct_value
 
-# The limits of nested calls of functions, and of calls of one of them by itself.
+# The greatest depth of nested inlined functions, and of recursive calls of one function.
 _MAX_INLINE_DEPTH = 400
 _MAX_RECURSION = 50
 

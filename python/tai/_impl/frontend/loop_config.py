@@ -19,7 +19,9 @@ class LoopConfig(Part):
         self._options: dict[str, Any] = {}
 
     def take(self) -> dict[str, Any]:
-        """The options of the loop that begins, which no other one has."""
+        """Returns the options for the loop that begins, and clears them, so that no other loop gets
+        them.
+        """
         options, self._options = self._options, {}
         return options
 

@@ -185,7 +185,8 @@ class LoopDomains(Part):
         return Bounds(lower, upper)
 
     def targets(self, node: ast.For, rank: int, grouped: bool, field: Any = None) -> list[str]:
-        """The names that the indices go to; one name for all where they are grouped.
+        """The names of the variables that get the loop indices; a single name if the indices are
+        grouped to a vector.
 
         Args:
             field: that the loop runs over, for a hint.
@@ -257,14 +258,16 @@ class LoopDomains(Part):
         if isinstance(step, Value):
             dt = promote(self.index_type_of([low, high, step]), i64)
             low, high, step = (emitter.cast(emitter.as_value(p, dt), dt) for p in (low, high, step))
-            # As `len` of a range: -((low - high) // step), where that is no less than 0.
+            # The number of iterations is computed as `len` of a Python range: -((low - high) //
+            # step), but at least 0.
             behind = emitter.binary("//", emitter.binary("-", low, high), step)
             return emitter.to_index(emitter.binary("max", emitter.unary("neg", behind), 0))
         size = abs(step)
         if not isinstance(low, Value) and not isinstance(high, Value):
             first, last = (low, high) if step > 0 else (high, low)
             return emitter.index(max(-((first - last) // size), 0))
-        # From one end of a type to the other there is more than it can count.
+        # The distance of two bounds may be greater than their type can count, so a wider type is
+        # used.
         low, high = (
             emitter.cast(part if isinstance(part, Value) else emitter.constant(part, i64), dt)
             for dt in [promote(self.index_type_of([low, high]), i64)]

@@ -79,7 +79,9 @@ class Loops(Part):
         self.frame.loops.pop()
 
     def _unrolled(self, node: ast.For, loop: Loop, items: list) -> None:
-        """The iterations of an unrolled loop; after a possible return only without it."""
+        """Compiles the iterations of an unrolled loop; after an iteration that may return, the next
+        ones run only if it has not.
+        """
         loop.depth = self.context.depth
         for number, item in enumerate(items):
             self.frame.push()

@@ -38,8 +38,8 @@ _NOW: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.Not: operator.not_,
 }
 
-# Operations that may run although the program did not ask for them: they cannot fault, and
-# their partial derivatives are finite wherever their operands are.
+# Operations that may be executed although the program does not reach them: they cannot fail, and
+# their partial derivatives are finite if their operands are.
 _SPECULATABLE = {
     "arith.constant", "arith.addf", "arith.subf", "arith.mulf", "arith.negf", "arith.addi",
     "arith.subi", "arith.muli", "arith.andi", "arith.ori", "arith.xori", "arith.cmpi",
@@ -50,7 +50,7 @@ _SPECULATABLE = {
 
 
 def _refuse_repetition(a: Any, b: Any) -> None:
-    """A list times a whole number is a longer list in Python, and its length a constant here."""
+    """In Python, a list times a whole number is a longer list; here the length is a constant."""
     for one, other in ((a, b), (b, a)):
         if isinstance(one, (list, tuple)) and isinstance(other, Value):
             if other.dt.is_int and not other.shape:
@@ -186,7 +186,7 @@ class Operators(Part):
         fresh = self._new_names()
         if getattr(right, "is_matrix", False):
             right = emitter.as_value(right)
-        # A plain number takes the type of the other operand, as it does in arithmetic.
+        # A plain Python number takes the type of the other operand, as in arithmetic.
         if isinstance(right, Value) and right.shape and not right.dt.is_float:
             _, right, dt = emitter.operands(left, right)
             right = emitter.cast(right, dt)
@@ -224,7 +224,8 @@ class Operators(Part):
         return emitter.value(handle, dt, right.shape)
 
     def _new_names(self) -> list[Variable]:
-        """Ends the scope of an operand; the names that it made with `:=` go on.
+        """Ends the scope of an operand of `and`, `or` or a conditional expression; names that the
+        operand defines with `:=` remain.
 
         Returns:
             The numbers among them, which are zero where the operand is not evaluated.
@@ -261,7 +262,9 @@ class Operators(Part):
     def _branch(
         self, condition: Value, type_: Any, changed: list[Variable], regions: list[Any]
     ) -> Any:
-        """An `scf.if` that yields the value of an expression, and the variables it changes."""
+        """Emits an `scf.if` that yields the value of an expression and the new values of variables
+        that the expression changes.
+        """
         emitter = self.emitter
         types = [emitter.type_of(v.value.dt, v.value.shape) for v in changed]
         results = self.builder.if_(condition.handle, [type_, *types], *regions)
@@ -338,7 +341,9 @@ class Operators(Part):
 
 
 def _taken_back(before: dict[Variable, Value]) -> dict[Variable, Value]:
-    """The values of the variables, which are then reset to the values `before`."""
+    """Returns the present values of the variables, and resets the variables to the values
+    `before`.
+    """
     after = {variable: variable.value for variable in before}
     for variable, value in before.items():
         variable.value = value

@@ -41,7 +41,7 @@ class ParallelLoops(Part):
         self, node: ast.For, bounds: Bounds | None, field: Any, grouped: bool,
         options: dict[str, Any],
     ) -> None:  # fmt: skip
-        """A `tai.parallel_for` over a box of indices or the elements of a field."""
+        """Emits a `tai.parallel_for` over a box of indices or over the elements of a field."""
         emitter, builder = self.emitter, self.builder
         level = field if isinstance(field, Level) else None
         storage = field = level.field if level is not None else field
@@ -57,7 +57,7 @@ class ParallelLoops(Part):
         names = self.domains.targets(node, own - (worlds is not None), grouped, field)
         lower: list[Any] = []
         upper: list[Any] = []
-        # Over an array of no dimension there is one iteration, which has no index.
+        # A loop over an array without dimensions has one iteration and no index.
         is_single = bounds is not None and rank == 0
         if is_single:
             lower, upper = [emitter.index(0)], [emitter.index(1)]
@@ -115,7 +115,8 @@ class ParallelLoops(Part):
         self.regions.loop_body(loop, node)
         self.serial_work.end_parallel(work, bounds, shape, is_serial, node)
         if self.levels.appends and self.context.options.deterministic:
-            # On many threads, the order of a list would be that in which they come.
+            # With several threads, the order of appended elements would depend on timing, so a
+            # deterministic loop that appends is serial.
             is_serial = True
         if worlds is not None:
             worlds.index = None

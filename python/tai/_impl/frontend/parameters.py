@@ -39,7 +39,9 @@ class Parameters(Part):
         self._result_cell: Any = None
 
     def define(self, block: Any) -> None:
-        """Gives the parameters their names in the body; the block has an argument for each type."""
+        """Defines the parameters as names in the body of the kernel; the entry block has an
+        argument for each type.
+        """
         kernel, frame = self.context.kernel, self.frame
         position = 0
         handles: list[list[Any]] = []

@@ -268,7 +268,7 @@ class Printing(Part):
         self.builder.print(text, handles, end.endswith("\n"))
 
     def printable(self, value: Value) -> Value:
-        """A value whose printed digits are right although IR does not know its sign."""
+        """Converts unsigned numbers to i64 for printing, since types of the IR have no sign."""
         if value.dt.kind == "u" and value.dt.bits < 64:
             return self.emitter.cast(value, i64)
         return value

@@ -105,7 +105,9 @@ class Place:
 
 
 class _Shape:
-    """The properties of a place that `component_of` needs."""
+    """The shape and the kind of a place (something that can be assigned to), as `component_of`
+    needs them.
+    """
 
     def __init__(self, place: Place):
         self.shape = place.shape
@@ -306,7 +308,7 @@ class SplitElement(Place):
 
 
 class SplitComponent(Component):
-    """A component of a `SplitElement` that is known when the kernel runs.
+    """A component of a `SplitElement`, with an index that is known only when the kernel runs.
 
     Each is stored elsewhere, and the others must stay as they are: another iteration may be
     changing them.
@@ -317,7 +319,9 @@ class SplitComponent(Component):
         self.parts = base.parts()
 
     def _only(self, number: int, change: Callable[[], Value | None], old: Value | None) -> Any:
-        """Performs `change` if this is the component; returns its result, or `old`."""
+        """Emits a branch that performs `change` only if the index selects component `number`;
+        returns the result of `change`, otherwise `old`.
+        """
         emitter, builder = self.emitter, self.emitter.builder
         holds = emitter.compare("==", self.number, number)
         outer = builder.get_block()
@@ -411,7 +415,8 @@ class ArrayArgument(Elements):
         # The handle of the array, and the handle of its gradient if it has one.
         self.handle, self._gradient = handles[0], handles[1:]
         self.dt, self.element_shape = spec.dt, spec.element_shape
-        # The dimension of the worlds of a batch is not seen by the kernel.
+        # Leaves out the first dimension of arrays in a batched kernel, which counts the worlds and
+        # is hidden from the kernel.
         self._is_stacked = emitter.worlds is not None and emitter.worlds.is_stacked(name)
         self.ndim = spec.ndim - self._is_stacked
 

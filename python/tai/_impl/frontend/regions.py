@@ -99,14 +99,14 @@ class Regions(Part):
         return ends or [False]
 
     def take_results(self, results: Any, variables: list[Variable]) -> None:
-        """Gives the results of a structured op to the variables that it carries."""
+        """Assigns the results of a structured operation to the variables that it carries."""
         if len(variables) == 1:
             results = (results,)
         for variable, handle in zip(variables, results or (), strict=True):
             variable.value = self.emitter.value(handle, variable.value.dt, variable.value.shape)
 
     def take_arguments(self, block: Any, variables: list[Variable], first: int = 0) -> None:
-        """Gives the arguments of a block to the variables that a loop carries."""
+        """Assigns the arguments of a loop's block to the variables that the loop carries."""
         for number, variable in enumerate(variables):
             old = variable.value
             variable.value = self.emitter.value(block.argument(first + number), old.dt, old.shape)

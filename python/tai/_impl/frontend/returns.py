@@ -63,7 +63,7 @@ class Results:
 
 
 class _Form:
-    """The types of the results of a function, found by a first walk."""
+    """The types of the results of a function, which a first walk over its body finds."""
 
     def __init__(self) -> None:
         self.types: list[tuple[DataType, tuple[int, ...]]] | None = None
@@ -101,11 +101,12 @@ class Returns(Part):
     def __init__(self, context: Context, parameters: Parameters):
         super().__init__(context)
         self.parameters = parameters
-        # The result types of inlined functions that may return early, by their parameters.
+        # The result types of inlined functions that may return early, by the types of their
+        # parameters.
         self._forms: dict[tuple, _Form] = {}
 
     def prepare_returns(self) -> None:
-        """Makes room for the results of the current function, if it may return early.
+        """Makes variables for the results of the current function, if it may return early.
 
         Called where its body begins, once its parameters are defined.
         """
@@ -135,7 +136,9 @@ class Returns(Part):
         self.frame.results = Results(returned, parts, is_tuple)
 
     def _find_form(self) -> _Form:
-        """Walks the function once, into a region that nothing uses, for its types alone."""
+        """Compiles the function once into an unused region, only to find the types of its
+        results.
+        """
         frame, builder = self.frame, self.builder
         key = (frame.function, *(_kind(frame.scopes[0].get(n)) for n in frame.scopes[0]))
         known = self._forms.get(key)
@@ -266,7 +269,9 @@ class Returns(Part):
         return results.returned.value
 
     def exit_flags(self, broken: Variable | None, statements: list[ast.stmt]) -> list[Variable]:
-        """The flags that end a loop with this body before its time."""
+        """The flags that end a loop with this body early: the flag of `break`, and the flag of
+        `return`.
+        """
         flags = [] if broken is None else [broken]
         if self.frame.results is not None and find_return(statements) is not None:
             flags.append(self.frame.results.returned)
@@ -296,7 +301,9 @@ def _kind(meaning: Any) -> Any:
 
 
 class _Same:
-    """Equal for the same object, which it keeps: the identity of one that is gone may recur."""
+    """A key that is equal only for the same object. The key keeps the object alive, because another
+    object could get the same identity later.
+    """
 
     __slots__ = ("_thing",)
 

@@ -76,7 +76,8 @@ class Frame:
         self.globals = function.__globals__
         self.closure = closure_of(function)
         self.scopes: list[dict[str, Variable | Bound]] = [{}]
-        # Names of inner blocks that ended, with the line of their first assignment.
+        # Names that were defined in inner blocks that have ended, with the line of the first
+        # assignment.
         self.gone: dict[str, int] = {}
         self.loops: list[Loop] = []
         # For each branch and loop, the names that it assigns, once found.
@@ -84,8 +85,8 @@ class Frame:
         self.result: Any = None
         self.result_type: Any = None
         self.has_returned = False
-        # The results of `return` inside of branches and loops; their form while their types are
-        # being found.
+        # The variables for the results of `return` inside of branches and loops; while the types of
+        # the results are being found, the types found so far.
         self.results: Any = None
         self.form: Any = None
         self.depth = 0
@@ -93,7 +94,7 @@ class Frame:
 
     @functools.cached_property
     def unrolled(self) -> set[str]:
-        """The names that loops over `ti.static(…)` give a meaning: to objects, it may be."""
+        """Names that loops over `ti.static(…)` bind to constants or objects."""
         return {
             name.id
             for loop in ast.walk(self.node)
@@ -110,7 +111,7 @@ class Frame:
         return None
 
     def lookup(self, name: str) -> Variable | Bound:
-        """The meaning of `name` at this point.
+        """Finds what `name` stands for at this point of the kernel.
 
         Raises:
             TaiNameError: nothing.

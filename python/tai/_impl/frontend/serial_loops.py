@@ -49,7 +49,9 @@ class SerialLoops(Part):
     def _nest(
         self, node: ast.For, bounds: Bounds, names: list[str], grouped: bool, outer: list[Value]
     ) -> None:
-        """One dimension of a serial loop, and the ones inside of it."""
+        """Emits the loop of one dimension of a serial loop nest, and the loops of the inner
+        dimensions.
+        """
         dimension = len(outer)
         if dimension == len(bounds.lower):
             self.domains.define_indices(names, outer, grouped)
@@ -123,7 +125,9 @@ class SerialLoops(Part):
         self, loop: Loop, variables: list[Variable], begin: Any, end: Any, inside: Any,
         node: ast.For,
     ) -> None:  # fmt: skip
-        """A range that can be left: an `scf.while` that also carries the index."""
+        """Emits a loop over a range that may be left early: an `scf.while` that also carries the
+        index.
+        """
         emitter, builder = self.emitter, self.builder
         flags = self.returns.exit_flags(loop.broken, node.body)
         variables = [*(f for f in flags if f not in variables), *variables]

@@ -11,8 +11,8 @@ from ...errors import TaiCompilationWarning
 from ..values.value import Value
 from .context import Context, Part
 
-# From as many operations on, one after another, a user may wonder whether a GPU's thread ends.
-# Three million with their gradient took less than half a second on an H100.
+# If a thread of a GPU runs this many operations in sequence, the user is warned that the thread may
+# take long. Three million with their gradient took less than half a second on an H100.
 _LONG = 1e7
 # The number of iterations up to which a loop is not worth a GPU.
 _FEW = 32
@@ -28,12 +28,15 @@ class SerialWork(Part):
     def __init__(self, context: Context):
         super().__init__(context)
         self.work = 0.0
-        # Iterations of the parallel loop around; whether the user has been told.
+        # The number of iterations of the surrounding parallel loop, and whether the warning was
+        # given.
         self._threads = 1.0
         self._told = False
 
     def end_serial(self, before: float, low: Any, high: Any, step: Any, node: ast.For) -> None:
-        """A serial loop has been compiled; before it, there was so much work."""
+        """Called when a serial loop has been compiled; `before` is the number of operations counted
+        before the loop.
+        """
         self.repeat(before, count_trips(low, high, step, unknown=1), node)
 
     def repeat(self, before: float, trips: float, node: ast.For) -> None:
@@ -78,7 +81,7 @@ class SerialWork(Part):
 
 
 def count_trips(low: Any, high: Any, step: Any, unknown: float) -> float:
-    """The iterations of a range; `unknown` if a bound is computed by the kernel."""
+    """The number of iterations of a range; `unknown` if a bound is computed by the kernel."""
     if any(isinstance(part, Value) for part in (low, high, step)):
         return unknown
     return max(0, math.ceil((high - low) / abs(step)))

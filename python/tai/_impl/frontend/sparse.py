@@ -19,7 +19,9 @@ from .structs import StructValue
 
 
 def level_of(thing: Any, what: str) -> SNode:
-    """The level that an argument means: itself, or the one that holds a field."""
+    """The level that an argument of a sparse operation means: the argument itself, or the level
+    that holds the field.
+    """
     node = thing
     if isinstance(thing, Field):
         use_field(thing)
@@ -224,7 +226,7 @@ class Levels(Part):
         return emitter.cast(address, u64)
 
     def list_dimension(self, level: Level) -> int:
-        """The position of the index along a list among those of its field."""
+        """The position of the list's index among the indices of its field."""
         axes = list(level.node.axis_extents())
         return level.dimensions[axes.index(level.node.axes[0])]
 
@@ -254,7 +256,9 @@ _LIST_METHODS = ("append", "length", "deactivate")
 
 
 def list_method(levels: Levels, field: Field, name: str) -> Any:
-    """`x.append`, `x.length`, `x.deactivate` of a field that is one list, or None."""
+    """A method such as `x.append`, `x.length` or `x.deactivate` of a field that consists of one
+    list, or None.
+    """
     if name not in _LIST_METHODS or field.level is None or len(field.shape) != 1:
         return None
     found = list_element(levels, field, None)
@@ -262,13 +266,13 @@ def list_method(levels: Levels, field: Field, name: str) -> Any:
 
 
 class ListElement:
-    """`y[i]` where `y` lies below a dynamic level: the list as a whole."""
+    """The list of a dynamic level as a whole, written as `y[i]` for a field y below the level."""
 
     def __init__(self, levels: Levels, field: Field, indices: list[Any]):
         self._levels = levels
         assert field.level is not None
         self._level = level = Level(field.level, f"field '{field.name}'")
-        # Indices of the field begin at its offset, those of a list at zero.
+        # Indices of the field begin at its offset, but indices of a list begin at zero.
         first = list(field.offset or (0,) * level.rank)
         del first[levels.list_dimension(level)]
         self._indices = [
@@ -290,7 +294,7 @@ class ListElement:
 
 
 def list_element(levels: Levels, field: Field, key: Any) -> ListElement | None:
-    """The list that a subscript with one index less than the field names, or None."""
+    """The list that a subscript names if it has one index less than the field; otherwise None."""
     storage, _ = field.storage()
     node = storage.level
     if node is None or node.kind != "dynamic":

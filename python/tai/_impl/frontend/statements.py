@@ -102,7 +102,7 @@ class Statements(Part):
     def rest_of_body(
         self, running: Value, action: Callable[[], None], rest: list[ast.stmt], node: ast.stmt
     ) -> None:
-        """Compiles statements that run only if no earlier one has left the body."""
+        """Compiles statements that run only if no earlier statement has left the body."""
         is_dead = self.regions.branch(running, self.as_top(action), None, rest, node)[0]
         # The body has been left in both cases: by an earlier statement, or by these statements.
         self.context.is_dead = is_dead
@@ -120,7 +120,9 @@ class Statements(Part):
         return wrapped
 
     def still_running(self, statement: ast.stmt) -> Value | None:
-        """The condition that a statement was not left by an exit, or None if surely."""
+        """The condition that a statement has not left the body by a `break`, `continue` or
+        `return`; None if it never leaves.
+        """
         stopped = self.returns.returned_since([statement])
         loop = self.frame.loops[-1] if self.frame.loops else None
         if (
@@ -137,7 +139,9 @@ class Statements(Part):
         return None if stopped is None else self.emitter.unary("not", stopped)
 
     def visit_If(self, node: ast.If, rest: list[ast.stmt] | None = None) -> None:
-        """A branch; `rest` are the statements that follow if its first part returns."""
+        """Compiles an `if`; `rest` are the statements after it, which become part of the `else`
+        branch if the first branch returns.
+        """
         condition, is_static = self.compile_time.evaluate(node.test)
         if isinstance(condition, Value) and is_static:
             raise TaiTypeError(

@@ -53,7 +53,7 @@ class _Members:
 
 
 class StructValue(_Members):
-    """A struct that has no place: a constructor made it, or it is an element that was read."""
+    """A struct value without storage: made by a constructor, or read from an element."""
 
     def __init__(self, type_: StructType, members: dict[str, Any]):
         self.type, self.members = type_, members
@@ -73,7 +73,7 @@ class StructValue(_Members):
 
 
 class StructPlace(_Members, Place):
-    """A struct whose members are places: a variable, or an element of a struct field."""
+    """A struct whose members can be assigned to: a variable, or an element of a struct field."""
 
     dt: Any = None
     shape = ()
@@ -97,7 +97,7 @@ class StructPlace(_Members, Place):
 
 
 class Reference(Bound):
-    """A name for a place: a template parameter that was given an element or a component."""
+    """A name that refers to an element or a component, which was passed to a template parameter."""
 
     def store(self, value: Any) -> None:
         self.thing.store(self.thing.convert(value))

@@ -36,12 +36,12 @@ _LEAVES = (bool, int, float, complex, str, bytes, type(None), np.generic, np.nda
 # Attributes of an array that do not depend on its elements.
 ARRAY_FORM = ("shape", "ndim", "size", "dtype")
 
-# The number of compilations for changing attributes after which a kernel warns.
+# If a kernel is compiled this many times because attributes have changed, it warns.
 _MANY = 16
 
 
 def hint(value: Any) -> Any:
-    """Something hashable, equal for template arguments that may stand for the same code."""
+    """A hashable key of a template argument; arguments with equal keys may share compiled code."""
     kind = type(value)
     return (kind, value) if kind in (int, str) else kind
 
@@ -69,7 +69,9 @@ def is_weak(value: Any) -> bool:
 
 
 def owner_of(held: Any) -> Any:
-    """The owner of a read, which may be held weakly; None if it is gone."""
+    """The object whose attribute was read, which may be held by a weak reference; None if the
+    object no longer exists.
+    """
     return held() if isinstance(held, weakref.ref) else held
 
 
@@ -102,7 +104,9 @@ class Reads:
             self._follow(thing)
 
     def all(self) -> list[tuple[Any, str, Any]]:
-        """Owner or a weak reference to it, name and `Constant` of each."""
+        """A triple for each attribute that was read: the owner or a weak reference to it, the name,
+        and the `Constant`.
+        """
         return [
             (self._weak.get(id(owner), owner), name, constant)
             for owner, name, constant in self._noted.values()
@@ -133,7 +137,9 @@ class Reads:
         self._follow(value)
 
     def note_all(self, *things: Any) -> None:
-        """Says that Python code has looked at objects: all that they hold counts."""
+        """Notes that Python code has seen these objects while compiling, so that the code depends
+        on everything they hold.
+        """
         for thing in things:
             if isinstance(thing, _CONTAINERS):
                 self.note_all(*thing)
@@ -177,7 +183,7 @@ def still_hold(reads: list[tuple[Any, str, Any]]) -> bool:
 
 
 def warn_of_many(name: str, variants: list[Any]) -> None:
-    """Says once that a kernel is compiled again and again for attributes that change."""
+    """Warns once that a kernel is compiled again and again because attributes change."""
     if len(variants) != _MANY:
         return
     changed = []

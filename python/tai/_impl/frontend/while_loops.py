@@ -60,7 +60,7 @@ class WhileLoops(Part):
         condition: Callable[[], Value | None],
         node: ast.While,
     ) -> None:
-        """An `scf.while`; `condition` is not evaluated any more once `break` has run."""
+        """Emits an `scf.while` whose `condition` is no longer evaluated after a `break`."""
         emitter, builder = self.emitter, self.builder
         flags = self.returns.exit_flags(loop.broken, node.body)
         variables = [*(f for f in flags if f not in variables), *variables]

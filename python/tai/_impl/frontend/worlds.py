@@ -18,7 +18,7 @@ from ..fields.scalar import ComponentField
 from ..fields.structs import StructField
 from ..fields.whole import WholeElements
 
-# The variable that holds whether a world takes part; no name of Python.
+# The name of the variable that says whether a world takes part; it is no valid name in Python.
 ACTIVE = "(the world is active)"
 
 
@@ -192,7 +192,8 @@ def _assigned_in(statement: ast.stmt) -> list[str]:
 
 
 def _is_uniform(node: ast.stmt, assigned: Counter[str], inside: set[str]) -> bool:
-    """Whether a statement gives a name its only value, for the loops of all worlds.
+    """Whether a statement is the only assignment to a name, so that the value is the same in the
+    loops of all worlds.
 
     A name that loops change as well (`inside`) counts, too: it is refused there.
     """

@@ -28,7 +28,8 @@ class Gradient:
 
     def __init__(self, shape: tuple[int, ...], dt: DataType | None = None, parts: Any = None):
         self.shape, self.dt, self.parts = shape, dt, parts
-        # The thread whose it is, and the tape that has used it last; see `tracked.TapeValues.take`.
+        # The thread to which the value belongs, and the tape that has used it last; see
+        # `tracked.TapeValues.take`.
         self.owner, self.user = state.thread, None
         self.buffers: dict[DataType, np.ndarray] = {}
 
@@ -55,7 +56,9 @@ class Gradient:
             buffer[...] = 0
 
     def add(self, amount: Any, component: int | None = None) -> None:
-        """Adds to the gradient of the value, or of those that it was computed from."""
+        """Adds a number to the gradient of the value, or to the gradients of the values from which
+        it was computed.
+        """
         if self.parts is not None:
             for gradient, part, partial in self.parts:
                 gradient.add(partial * amount, part)
@@ -67,7 +70,9 @@ class Gradient:
             buffer.reshape(-1)[component] += amount
 
     def pass_on(self) -> None:
-        """In a sweep: passes the accumulated gradient on to the origin of the value."""
+        """In a reverse sweep: passes the accumulated gradient on to the value from which this one
+        was made.
+        """
         kept = self.buffers.get(self.dt) if self.dt is not None else None
         for buffer in self.buffers.values():
             if buffer is not kept and buffer.any():
@@ -113,7 +118,7 @@ def note_variable(gradient: Gradient) -> None:
 
 
 def note_gradient_array(array: Any) -> ArrayGradient:
-    """Remembers the gradient of an array, for as long as the caller keeps the result."""
+    """Registers the gradient of an array, for as long as the caller keeps the returned object."""
     gradient = ArrayGradient(array.array)
     with _lock:
         _arrays.add(gradient)

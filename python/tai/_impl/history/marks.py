@@ -28,7 +28,7 @@ class Mark(Enum):
 
 
 class Extent(NamedTuple):
-    """Memory of an array: elements of `size` bytes, at distances that `step` divides.
+    """The memory of an array: elements of `size` bytes at distances that are multiples of `step`.
 
     Attributes:
         begin: the address of the first byte.
@@ -53,14 +53,15 @@ class _Region:
     """Memory with a mark, which is valid as long as the owner of the memory lives."""
 
     def __init__(self, extent: Extent, mark: Mark, owner: Any):
-        # A part of an array may be a new object for each use.
+        # A weak reference to the array would not do, since a view of an array may be a new object
+        # for each use.
         while isinstance(getattr(owner, "base", None), np.ndarray):
             owner = owner.base
         self.extent, self.mark, self.owner = extent, mark, weakref.ref(owner)
 
 
 class _View(_Region):
-    """Memory of a field that other libraries have a view of, for as long as the view lives."""
+    """Memory of a field of which other libraries have a view, for as long as the view exists."""
 
     def __init__(self, extent: Extent, field: Any, loan: Any):
         super().__init__(extent, Mark.VIEW, field)
@@ -109,11 +110,11 @@ def extent_of(value: Any) -> Extent | None:
 
 
 def made_of(address: int, size: int, pairs: Iterable[tuple[int, int]]) -> Extent:
-    """The memory of an array, by its extents and the bytes from index to index."""
+    """Computes the memory of an array from its extents and its strides in bytes."""
     steps = [(n - 1, step) for n, step in pairs if n > 1 and step]
     begin = address + sum(n * step for n, step in steps if step < 0)
     end = address + size + sum(n * step for n, step in steps if step > 0)
-    # Elements that lie beside each other, such as components of a vector, are one.
+    # Contiguous elements, such as the components of a vector, count as one element.
     apart = sorted((abs(step), n + 1) for n, step in steps)
     while apart and apart[0][0] == size:
         size *= apart.pop(0)[1]
@@ -122,7 +123,9 @@ def made_of(address: int, size: int, pairs: Iterable[tuple[int, int]]) -> Extent
 
 
 def mark(value: Any, how: Mark = Mark.HOST) -> None:
-    """The numbers of an array, or of another object, depend on values with a gradient."""
+    """Notes that the numbers of an array, or of another object, depend on values with a
+    gradient.
+    """
     extent = extent_of(value)
     if extent is None:
         _of_thread.objects[id(value)] = weakref.ref(value)
@@ -131,13 +134,13 @@ def mark(value: Any, how: Mark = Mark.HOST) -> None:
 
 
 def mark_view(field: Any, extent: Extent, loan: Any) -> None:
-    """Another library has a view of the memory of a field while `loan` lives."""
+    """Notes that another library has a view of the memory of a field, while `loan` exists."""
     _views[:] = [view for view in _views if view.field() is not None]
     _views.append(_View(extent, field, loan))
 
 
 def viewed() -> list[tuple[Any, Extent]]:
-    """The fields that other libraries have views of, and the memory of these."""
+    """The fields of which other libraries have views, and the memory of these fields."""
     found = {id(field): (field, view.extent) for view in _views if (field := view.field())}
     return list(found.values())
 
@@ -155,7 +158,7 @@ def field_behind(value: Any) -> Any:
 
 
 def mark_of(value: Any) -> Mark | None:
-    """The mark of an array or object of the tape that records, if it has one."""
+    """The mark of an array or object that depends on recorded values with a gradient, or None."""
     known = _of_thread.objects.get(id(value))
     if known is not None and known() is value:
         return Mark.HOST

@@ -24,24 +24,24 @@ from .followed import carries_history, has_history, is_followed, is_marked
 from .marks import Mark
 from .texts import Reading, callers
 
-# Places that have been looked at, by the addresses of code objects and of the objects they use, and
-# these objects, which are kept so that their addresses are not reused.
+# Program locations that have been checked, identified by the addresses of code objects and of the
+# objects that the code uses; the objects are kept alive, so that their addresses are not reused.
 _sites: set[tuple[Any, ...]] = set()
 _kept: dict[int, Any] = {}
-# Places whose answer depends on the arguments that their callers have given.
+# Program locations for which the answer depends on the arguments that the callers have given.
 _asking: set[tuple[int, int]] = set()
-# More places than a program has. Programs that generate code all day exceed it.
+# The most locations that are remembered. Only programs that generate code all the time have more.
 _MOST_SITES = 4096
 
 
 class _OfThread(threading.local):
     def __init__(self) -> None:
         self.watches = False
-        # The code that has opened the tape, and the line in which it has.
+        # The code object that has opened the tape, and the line where it did.
         self.recording: Any = None
         self.opened = 0
-        # Fields that other libraries have views of, and the owners of their memory; the core of
-        # the tape that watches them, and whether it compares all of them.
+        # Fields of which other libraries have views, with the owners of their memory; the tape
+        # object that watches these fields, and whether it compares all of them.
         self.views: list[tuple[Any, Any]] = []
         self.watching: tuple[Any, bool] | None = None
 
@@ -104,7 +104,7 @@ def end_tangent(field: Any) -> None:
 
 
 def note_read(field: Any) -> None:
-    """Python reads a field; to be called under a tape or in forward mode."""
+    """Called when Python reads a field under a tape or in forward mode."""
     if not _of_thread.watches and has_history(field):
         begin()
 
@@ -143,7 +143,7 @@ def _watch_views() -> None:
     if watching is None or program is None:
         return
     tape, looks_at_all = watching
-    # A view that is gone by now may have been written to.
+    # A view that no longer exists may have been written to before.
     former = {id(field): (field, owner) for field, owner in _of_thread.views}
     views, memory = [], []
     for field, extent in [*marks.viewed()]:
@@ -175,7 +175,7 @@ def check_views() -> None:
 
 
 def note_view(field: Any, loan: Any, address: int, steps: tuple[int, ...]) -> None:
-    """Another library has got a view of the memory of a field.
+    """Notes that another library has got a view of the memory of a field.
 
     Args:
         field, loan: which, and an object that lives as long as the view.
@@ -195,7 +195,9 @@ def note_view(field: Any, loan: Any, address: int, steps: tuple[int, ...]) -> No
 
 
 def note_stored(array: Any) -> None:
-    """A recorded kernel stores numbers that depend on values with a gradient to an array."""
+    """Notes that a recorded kernel stores numbers that depend on values with a gradient to an
+    array.
+    """
     marks.mark(array, Mark.KERNEL)
     begin()
 
@@ -239,7 +241,7 @@ def _read(frame: Any) -> Reading:
 
 
 def _settle(frame: Any, what: Any, reading: Reading, has_warned: bool) -> None:
-    """Looks at the place again for other callers if the answer depends on them."""
+    """Checks a program location again for other callers, if the answer depends on the callers."""
     place = (id(frame.f_code), frame.f_lineno)
     if has_warned:  # once is enough
         _asking.discard(place)

@@ -37,9 +37,11 @@ _KEEPING = {
 
 # The depth to which calls of functions are followed into the text of the callee.
 _DEPTH = 3
-# Callers of a function that launches, up to the one that records.
+# The greatest number of callers, from the function that launches up to the function that records,
+# that are examined.
 _MOST_CALLERS = 8
-# Passes in which numbers that are kept in objects are found, since they depend on each other.
+# The number of passes in which numbers that objects keep are searched for; several passes are
+# needed because such numbers depend on each other.
 _MOST_PASSES = 4
 
 
@@ -142,7 +144,7 @@ class Reading:
         return self.scope_of(0)
 
     def scope_of(self, number: int) -> Scope:
-        """The text of a caller; 0 is the place, and 1 its caller."""
+        """The source text of a caller; number 0 is the place itself, and 1 is its caller."""
         if number not in self._scopes:
             frame = self._frames[number]
             code = frame.f_code
@@ -169,7 +171,9 @@ class Reading:
         return len(self._frames) - 1 if is_inside else 0
 
     def stored_arrays(self) -> list[marks.Extent]:
-        """The memory of arrays into which the program stores numbers with a history."""
+        """The memory of arrays into which the program stores numbers that depend on values with a
+        gradient.
+        """
         found = [e for n in range(self.callers + 1) for e in self.scope_of(n).stored(set())]
         return [extent for extent in found if extent is not None]
 
@@ -190,7 +194,7 @@ class Reading:
 
 
 class Scope:
-    """The text of a function, and the meanings of its names.
+    """The source text of a function, with what its names stand for.
 
     Values with a history are known by paths: `a`, `a.b`, `a['b']`, or `a[*]` for elements at
     indices that the text does not show.
@@ -222,7 +226,9 @@ class Scope:
         }  # fmt: skip
 
     def spread(self) -> None:
-        """Finds the paths that hold values with a history at some time."""
+        """Finds the paths, such as `a.b`, that hold values with a history (values that depend on
+        recorded ones) at some time.
+        """
         pairs: list[tuple[set[str], list[ast.AST]]] = []
         for node in self._nodes:
             if isinstance(node, ast.Assign):
@@ -244,8 +250,9 @@ class Scope:
                     self._tainted |= paths
 
     def _paths(self, target: ast.AST) -> set[str]:
-        """The paths that an assignment to a target binds; none for elements of fields, which say
-        nothing of the field."""
+        """The paths, such as `a.b`, to which an assignment binds a value; none for elements of
+        fields, which say nothing about the whole field.
+        """
         if isinstance(target, (ast.Tuple, ast.List)):
             return {path for item in target.elts for path in self._paths(item)}
         if isinstance(target, ast.Starred):
@@ -291,7 +298,7 @@ class Scope:
         return names if any(map(holds, parts)) else []
 
     def written_at(self, line: int) -> list[ast.AST]:
-        """The values of assignments in a line, and the arguments of methods that write."""
+        """The values of assignments in a source line, and the arguments of methods that write."""
         found: list[ast.AST] = []
         for node in self._nodes:
             last = getattr(node, "end_lineno", None) or line
@@ -367,7 +374,7 @@ class Scope:
         return found
 
     def _memory_of(self, target: ast.AST) -> marks.Extent | None:
-        """The array that an assignment stores to, or that an attribute holds now."""
+        """The array to which an assignment stores, or that an attribute holds now."""
         while isinstance(target, ast.Subscript):
             value = self.resolve(target)
             if marks.extent_of(value) is not None:
@@ -393,7 +400,7 @@ class Scope:
         return [] if inner is None else inner.stored(seen)
 
     def _callee(self, call: ast.Call, seen: set[Any]) -> Scope | None:
-        """The text of the function that is called, unless it has been seen."""
+        """The source text of a called function, unless it has been examined already."""
         called = self.resolve(call.func)
         function = getattr(called, "__func__", called)
         if not isinstance(function, FunctionType) or function.__code__ in seen:
@@ -598,7 +605,9 @@ class Scope:
         return given
 
     def _inner(self, function: FunctionType, call: ast.Call) -> Scope | None:
-        """The text of a function, with the arguments of a call; None if it is not looked at."""
+        """The source text of a function, with the arguments of a call; None if it is not
+        examined.
+        """
         module = function.__module__ or ""
         if self._depth == 0 or module.split(".")[0] in ("tai", "numpy", "torch"):
             return None
@@ -683,7 +692,7 @@ def _path_of(node: ast.AST) -> str | None:
 
 
 def _numbers_in(value: Any) -> list[Any]:
-    """The plain numbers of a value: itself, or the elements of a container."""
+    """The plain numbers in a value: the value itself, or the elements of a container."""
     if isinstance(value, float):
         return [value]
     if isinstance(value, dict):

@@ -18,7 +18,7 @@ _RECIPE = "tai.torch.wrap, or torch.autograd.Function: see docs/guides/torch.md"
 
 
 def check_leaf(value: Any, what: str) -> None:
-    """Refuses a tensor that torch computed, where a launch is differentiated by it.
+    """Raises an error if a launch is differentiated by a tensor that torch has computed.
 
     Its gradient would be added to a `grad` that torch does not pass on.
 
@@ -59,7 +59,8 @@ def is_grad_enabled() -> bool:
 
 
 def warn_of_a_cut(launcher: Any, kernel: str, parameters: list, values: list, specs: list) -> None:
-    """Says once for each line that a launch without a tape ends a graph of torch.
+    """Warns, once for each line, that a launch without a tape interrupts a graph of torch's
+    autograd.
 
     Args:
         launcher: the kernel, which need not come here again from this line.
@@ -91,7 +92,7 @@ def warn_of_a_cut(launcher: Any, kernel: str, parameters: list, values: list, sp
 
 
 def warn_of_a_copy(field: Any, tensor: Any) -> None:
-    """Says once for each line that a field takes numbers from a graph of torch."""
+    """Warns, once for each line, that a field takes numbers from a graph of torch's autograd."""
     if getattr(tensor, "requires_grad", False) is not True or not is_grad_enabled():
         return
     frame = calling_frame()

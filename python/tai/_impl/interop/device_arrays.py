@@ -45,7 +45,7 @@ class DeviceArray:
         dense |= step == 0
         self.flags = DeviceArray._Flags(dense, is_writeable)
         self.nbytes = step * self.dtype.itemsize
-        # The stream of the library that it comes from, or None for torch's current one.
+        # The stream of the library that the array comes from, or None for torch's current stream.
         self.library = stream
         self._owner, self._number = owner, number
 
@@ -93,7 +93,7 @@ def numpy_type(dtype: Any) -> np.dtype:
         found = np.dtype(name)
     except TypeError:
         found = None
-    # Libraries add types to NumPy, as ml_dtypes, which jax loads, does with bfloat16.
+    # Libraries add number types to NumPy: ml_dtypes, which jax loads, adds bfloat16.
     if found is None or found.isbuiltin != 1:
         raise TaiRuntimeTypeError(
             f"kernels have no numbers of type {name}, which the tensor holds",
@@ -126,7 +126,7 @@ def as_device_array(value: Any) -> DeviceArray | None:
     )  # fmt: skip
 
 
-# Forms of tensors of torch that have no elements side by side: what shows them, and a hint.
+# Kinds of torch tensors whose elements are not stored contiguously: a test for each, and a hint.
 _FORMS = [
     (lambda t: getattr(t, "is_meta", False), "has no memory (device 'meta')",
      "make it on a device: torch.empty_like(x, device='cpu')"),
@@ -235,7 +235,9 @@ def from_dlpack(value: Any) -> Any:
 
 
 def order_before(arrays: list[DeviceArray]) -> set[int]:
-    """The next launch waits for the libraries of its arrays; their streams."""
+    """Makes the next launch wait for the streams of the libraries whose arrays it takes; returns
+    the streams.
+    """
     context = get_program().context
     streams = {array.stream() for array in arrays}
     for stream in streams:

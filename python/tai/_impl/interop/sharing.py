@@ -50,7 +50,9 @@ class Loan:
 def field_dlpack(
     field: Any, stream: Any, max_version: Any, dl_device: Any, copy: bool | None
 ) -> tuple[Any, Loan]:
-    """The capsule of a field, which shares its memory, and the loan, which lives as long."""
+    """Makes a DLPack capsule that shares the memory of a field, and an object that exists as long
+    as the sharing.
+    """
     device = field_device(field)
     if copy:
         raise BufferError("a field is shared as it is: copy what comes of it")
@@ -74,7 +76,8 @@ def field_dlpack(
     if any(step % size for step, extent in zip(steps, shape, strict=True) if extent > 1):
         raise BufferError(f"field '{field.name}' cannot be shared: its elements are not aligned")
     if device[0] == CUDA and stream != -1:
-        # 1 is the default stream, 2 that of the thread; None means the former.
+        # In this protocol, stream 1 is the default stream and 2 that of the thread; None means the
+        # default stream.
         context.let_stream_wait(1 if stream is None else int(stream))
     strides = [step // size for step in steps]
     loan = Loan(owner)
@@ -115,7 +118,7 @@ def owner_of(field: Any) -> Any:
 
 
 class _Lent:
-    """A field for `torch.from_dlpack`, whose tensor does not outlive a copy."""
+    """A wrapper of a field for `torch.from_dlpack`, for a tensor that only exists during a copy."""
 
     def __init__(self, field: Any):
         self._field = field
@@ -131,7 +134,8 @@ class _Lent:
 
 
 def _shares_with(field: Any, tensor: Any) -> Any:
-    """A tensor that shares the memory of the field, if it is where `tensor` is; else None.
+    """Makes a tensor that shares the memory of the field, if the field is on the device `tensor`;
+    otherwise None.
 
     Torch's current stream waits for all launches so far.
     """
@@ -147,7 +151,7 @@ def _shares_with(field: Any, tensor: Any) -> Any:
 
 
 def to_torch(field: Any, device: Any) -> Any:
-    """A copy as a torch tensor, from device to device where it can be."""
+    """Copies a field to a new torch tensor, directly on the GPU if possible."""
     import torch
 
     where = torch.device("cpu" if device is None else device)
@@ -164,7 +168,7 @@ def to_torch(field: Any, device: Any) -> Any:
 
 
 def from_torch(field: Any, tensor: Any) -> None:
-    """Copies a torch tensor into a field, from device to device where it can be."""
+    """Copies a torch tensor into a field, directly on the GPU if possible."""
     import torch
 
     tensor = tensor.detach()

@@ -34,7 +34,8 @@ _current_stream: Callable[[int], int] = _torch_stream
 
 
 def set_current_stream(function: Callable[[int], int]) -> Callable[[int], int]:
-    """Lets another function say on which stream tensors are worked on; returns the one before.
+    """Sets the function that says which stream tensors are computed on; returns the former
+    function.
 
     Args:
         function: from the number of a GPU to the address of a stream.

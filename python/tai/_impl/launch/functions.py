@@ -64,7 +64,9 @@ class FunctionInfo:
 
     @property
     def kinds(self) -> dict[str, Any]:
-        """For each parameter `"template"`, a type with `convert`, or None."""
+        """For each parameter of the function: `"template"`, a type with a method `convert`, or
+        None.
+        """
         if self._kinds is None:
             self._kinds = {}
             for name in self.names:
@@ -163,7 +165,9 @@ _last: dict[tuple[int, str], weakref.ref[FunctionInfo]] = {}
 
 
 def _replace_former(info: FunctionInfo) -> None:
-    """A module is loaded again, or a cell is run again: kernels look up their functions anew."""
+    """When a module is reloaded or a cell is run again, kernels that use the former function look
+    it up again.
+    """
     names, qualname = info.function.__globals__, info.function.__qualname__
     if "<locals>" in qualname:
         return

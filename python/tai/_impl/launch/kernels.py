@@ -123,7 +123,7 @@ class Kernel(native.Launcher):
                 continue
             found.announced.add(adjoint)
             name = self.__name__ + (".grad" if adjoint else "")
-            # Errors of the compiler are reported by the launch that needs the code.
+            # Errors of the compiler are not reported here, but by the launch that needs the code.
             with contextlib.suppress(TaiError), compiling.compiling(name):
                 found.core.compile(adjoint)
 
@@ -138,21 +138,24 @@ class Kernel(native.Launcher):
 
     @property
     def _result(self) -> ResultType | None:
-        """The type of the result; None also before the first call."""
+        """The type of the kernel's result; None also before the first call."""
         return None if self._signature is None else self._signature.result
 
     def _specialize(self, values: list[Any], tracks: bool = False) -> Specialization:
         """Returns the compiled kernel for these arguments; see `Specializations.get`."""
         program = get_program()
         if self._program is not program:
-            # Before anything is compiled for it, which the program must make the kernel forget.
+            # The kernel is registered before anything is compiled, so that the program can make the
+            # kernel forget its compiled code.
             program.kernels.add(self)
             self._signature = None  # default types may be others now
             self._program = program
         return self._specializations.get(program, self._get_signature(), values, tracks)
 
     def adopt(self, other: Kernel) -> None:
-        """Becomes the kernel that its module, loaded again, defines in its place."""
+        """Makes this kernel equal to the kernel that a reloaded module defines under the same
+        name.
+        """
         self.release()
         self._take(other._function, other._is_method, other._modes)
         self._signature = None

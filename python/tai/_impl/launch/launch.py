@@ -68,8 +68,8 @@ def pack(
             )  # fmt: skip
             slots += [launched.ctypes.data, *array.shape]
             if spec.has_gradient:
-                # Torch makes gradients where they are wanted: a kernel that does not look at
-                # this one gets the array again.
+                # A gradient of a torch tensor is only made if it is needed: a kernel that does not
+                # use the gradient gets the array itself in its place.
                 looks = tracks or spec.uses_gradient
                 grad = tracked.gradient_array(value) if looks else launched
                 slots += [grad.ctypes.data, *grad.shape]

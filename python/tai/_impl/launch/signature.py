@@ -51,7 +51,7 @@ def defaults_of(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiCompilationError:
-    """Places an error at the `def` line of a function."""
+    """Sets the location of an error to the `def` line of a function."""
     code = function.__code__
     line = code.co_firstlineno
     try:
@@ -106,7 +106,8 @@ def says_nothing(annotation: Any, function: Callable[..., Any]) -> bool:
 
 
 def _is_anything(annotation: Any) -> bool:
-    # By identity: annotations may be of a class whose comparison gives no bool.
+    # Annotations are compared by identity, since the class of an annotation may have a comparison
+    # that returns no bool.
     return annotation is Any or annotation is object
 
 
@@ -148,7 +149,9 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
 
 
 def tuple_types(annotation: Any) -> tuple:
-    """The types in `(ti.i32, ti.f32)` or `tuple[ti.i32, ti.f32]`; none of another annotation."""
+    """The types in an annotation such as `(ti.i32, ti.f32)` or `tuple[ti.i32, ti.f32]`; none for
+    another annotation.
+    """
     if isinstance(annotation, tuple):
         return annotation
     return get_args(annotation) if get_origin(annotation) is tuple else ()
@@ -191,7 +194,7 @@ def _parse(
 
 
 def _members(parameter: Parameter) -> list[Parameter]:
-    """A parameter as those of numbers, vectors, arrays and templates: of a struct, its members."""
+    """Splits a struct parameter into its members; other parameters are returned as they are."""
     if not isinstance(parameter.type, StructType):
         return [parameter]
     members = parameter.type.members.items()
@@ -242,7 +245,7 @@ class Signature:
         return all(isinstance(p.type, (ScalarType, MatrixType)) for p in self.parameters)
 
     def bind(self, args: tuple, kwargs: dict) -> list[Any]:
-        """The value of each parameter, and of each member of those that are structs."""
+        """The values of all parameters of a call, where structs are replaced by their members."""
         parameters = self.given
         if len(args) > len(parameters):
             raise TaiRuntimeTypeError(

@@ -32,7 +32,8 @@ class Specialization:
         self, core: Any, specs: list[ArgumentSpec], result: ResultSpec | None, reads: list[tuple]
     ):
         self.core, self.specs, self.reads = core, specs, reads
-        # Takes it away from its kernel; set once the kernel has it.
+        # A function that removes this specialisation from its kernel; set when the kernel has
+        # stored the specialisation.
         self.drop: Callable[[], None] = lambda: None
         self.has_gradients = True
         self.fields: weakref.WeakSet = weakref.WeakSet()
@@ -46,13 +47,13 @@ class Specialization:
         self.announced: set[bool] = set()
         self.result = () if result is None else result.description()
         self.result_spec = result
-        # In forward mode: the numbers of the parameters that it follows, and the pool in which
-        # it keeps the result, or None.
+        # In forward mode: the numbers of the parameters whose tangents are followed, and the pool
+        # that keeps the tangent of the result, or None.
         self.followed: list[int] = []
         self.result_pool: Any = None
         arrays = any(spec.kind == "array" for spec in specs)
-        # The work under a tape, by the numbers of `tracking` in Launcher.cpp: 1, arrays are
-        # followed; 2, Python says where the adjoint of a result is.
+        # The work of a launch under a tape, as a number of `tracking` in Launcher.cpp: 1 if arrays
+        # are followed, 2 if Python says where the adjoint of the result is.
         self.tracking = 2 if result is not None and result.has_gradient else int(arrays)
 
     def fits(self, specs: list[ArgumentSpec]) -> bool:
@@ -78,7 +79,9 @@ class Specialization:
 
 
 def in_version(modes: dict[str, Any]) -> dict[str, Any]:
-    """The modes of a kernel, with those of the version that is on where it says nothing."""
+    """The modes of a kernel; for modes that it does not name, those of a temporary program version
+    (a run in other types).
+    """
     return modes if state.version is None else {**state.version.modes, **modes}
 
 
@@ -165,7 +168,9 @@ class Specializations:
         return found
 
     def _note_users(self, program: Any, found: Specialization, key: tuple) -> None:
-        """Lets the trees that it uses drop a specialization when they are freed."""
+        """Registers a function with the trees that a specialisation uses, so that it is dropped
+        when a tree is freed.
+        """
         store, one = weakref.ref(self), weakref.ref(found)
 
         def drop(_: Any = None) -> None:
@@ -236,8 +241,8 @@ class Specializations:
             raise located(TaiCompilationError(error.message, error.hint), self._function) from None
         is_fast = modes.get("math") == "fast" or ("math" not in modes and program.options.fast_math)
         if state.rounding is not None and is_fast:
-            # The part that a rounding takes away is a difference that becomes zero if it is
-            # reordered.
+            # Rounding errors are computed as differences that fast math could reorder to zero, so
+            # fast math is off here.
             modes["math"] = "default"
         symbol = program.unique_symbol(signature.kernel, is_hidden=True)
         program.kernel_functions[symbol] = self._function

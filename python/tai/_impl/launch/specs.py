@@ -68,7 +68,9 @@ class ArgumentSpec:
         return [self.mlir_type] * (2 if self.kind == "array" and self.has_gradient else 1)
 
     def names(self, name: str) -> list[str]:
-        """Names of these arguments in IR: the argument, and the gradient of an array."""
+        """The names of the argument in the IR: of the argument itself and, for an array, of its
+        gradient.
+        """
         return [name, f"{name}.grad"][: len(self.mlir_types)]
 
     @property
@@ -220,7 +222,8 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> 
     spec.is_element_fixed = bool(type_.element_dim)
     # An array may come without the gradient that the annotation asks for, which launches check.
     spec.is_checked = bool(type_.needs_grad) and not has_gradient
-    # The launcher tells arrays by their gradients, and would take this one for another kind.
+    # The C++ launcher distinguishes arrays by whether they have gradients, so it would take this
+    # array for another kind.
     spec.is_checked = spec.is_checked or type_.needs_grad is False
     spec.is_constant = holds_gradient and not has_gradient
     return spec

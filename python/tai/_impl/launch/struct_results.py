@@ -25,7 +25,9 @@ def _leaves(type_: StructType) -> list[Any]:
 
 
 def _common(kinds: list[DataType]) -> DataType:
-    """The type that holds the numbers of all these without a loss, or the bits of those of 64."""
+    """A number type that holds the numbers of all these types without loss, or for 64-bit integers
+    their bits.
+    """
     whole = [dt for dt in kinds if not dt.is_float]
     bits = max((dt.bits for dt in whole), default=0)
     if len(whole) < len(kinds):
@@ -37,7 +39,7 @@ def _common(kinds: list[DataType]) -> DataType:
 
 
 class StructResult:
-    """The type of the result, as those of vectors: `dtype` and `shape`."""
+    """The type of a struct that a kernel returns. Like vector types it has `dtype` and `shape`."""
 
     def __init__(self, type_: StructType):
         self.type, self.leaves = type_, _leaves(type_)
@@ -116,7 +118,7 @@ class StructResult:
 
 
 class TupleResult(StructResult):
-    """Several results, as of a struct whose members have numbers for names."""
+    """The type of several results of a kernel, as a struct whose members have numbers for names."""
 
     def __init__(self, types: list[Any]):
         super().__init__(StructType({str(number): kind for number, kind in enumerate(types)}))

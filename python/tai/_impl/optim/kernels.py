@@ -38,10 +38,10 @@ def get_kernels() -> Any:
 
     @func
     def adam(x, g, m, s, at, counts, factors, dtype, beta1, beta2, rate, epsilon, largest):
-        # `s` is the root of the second moment: its squares can neither overflow nor vanish.
+        # `s` keeps the root of the second moment, since the second moment could overflow or vanish.
         second = cast(factors[1], dtype)
         gradient = g[at]
-        # 1 - beta in f64: in f32 it would lose the digits of betas near 1.
+        # 1 - beta is computed in f64, because in f32 it would lose digits for a beta near 1.
         mean = m[at] * cast(beta1, dtype) + gradient * cast(1 - beta1, dtype)
         scale = max(max(abs(gradient), s[at]), cast(1e-30, dtype))
         a = s[at] / scale
@@ -200,7 +200,8 @@ def get_kernels() -> Any:
             for i in target:
                 target[i] = cast(cast(a[i], f64) * alpha + cast(b[i], f64) * beta, target.dtype)
 
-        # Products with the pairs of L-BFGS, whose numbers stay on the device.
+        # Kernels for the pairs of vectors of L-BFGS. The numbers that they compute stay on the
+        # device.
 
         @staticmethod
         @kernel

@@ -146,7 +146,9 @@ class LBFGS:
         return Result(loss, size, iterations, objective.evaluations, reason)
 
     def _find_direction(self) -> float:
-        """The direction -H g by the two loops over the pairs; its product with the gradient."""
+        """Computes the search direction -H g by the two-loop recursion over the stored pairs, and
+        its product with the gradient.
+        """
         k, v = get_kernels(), get_vectors()
         k.combine(self._d, self._g, -1.0, self._g, 0.0)
         for row, rho in reversed(self._pairs):
@@ -174,7 +176,9 @@ class LBFGS:
         return Trial(step, loss, slope)
 
     def _remember(self) -> None:
-        """Keeps the step and the change of the gradient, if the loss curves upwards there."""
+        """Stores the step and the change of the gradient as a pair, if the loss has positive
+        curvature along the step.
+        """
         k = get_kernels()
         used = {row for row, _ in self._pairs}
         row = next((r for r in range(self.history) if r not in used), None)
@@ -202,7 +206,9 @@ class LBFGS:
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """The steps that it remembers: numbers and NumPy arrays, which can be pickled."""
+        """The state of the optimiser, which is the stored steps: numbers and NumPy arrays, which
+        can be pickled.
+        """
         rows = [row for row, _ in self._pairs]
         return {
             "kind": "LBFGS", "size": self._flat.size, "scale": self._scale,
@@ -211,7 +217,7 @@ class LBFGS:
         }  # fmt: skip
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from the state of another one, with parameters of the same size.
+        """Continues from the state of another optimiser with parameters of the same size.
 
         Raises:
             TaiRuntimeTypeError: the state is that of another kind, or of another size.

@@ -85,7 +85,8 @@ class Objective:
         assert self._call is not None
         if self.evaluations > 1:
             return self._number(self._call())
-        # Gradients of an earlier tape would be taken for those of the function.
+        # The gradients are cleared, because gradients of an earlier tape would be taken for those
+        # of the function.
         for parameter in self._parameters:
             parameter.value.grad.fill(0)
         sweeps = Tape.sweeps

@@ -118,7 +118,7 @@ class Parameter:
             )
 
     def flat(self, which: str = "value") -> np.ndarray:
-        """The memory of an array, its gradient, or its dual, as numbers in a row."""
+        """The memory of an array, of its gradient, or of its dual, as a contiguous vector."""
         array = self.value if which == "value" else self.value.grad
         return array.array.reshape(-1)
 

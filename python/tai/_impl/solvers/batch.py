@@ -20,7 +20,8 @@ from .system import Progress
 
 inf = math.inf
 _THREE = vector(3, f64)
-# A pivot below this many roundings counts as zero: rows and columns are scaled to one.
+# A pivot that is less than this many rounding units counts as zero; rows and columns are scaled to
+# one.
 _ROUNDINGS = 4
 
 

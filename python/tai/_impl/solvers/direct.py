@@ -18,7 +18,8 @@ from .report import Caller, SolveInfo
 from .sparse_matrix import get_scipy
 from .system import Progress
 
-# A pivot below this many roundings for each row, of the greatest one, counts as zero.
+# A pivot counts as zero if it is less than this many rounding units, for each row, of the greatest
+# pivot.
 _SINGULAR = 4 * 2.0**-52
 # The most steps of iterative refinement of a solution.
 _REFINEMENTS = 3
@@ -84,7 +85,9 @@ class _Factors:
     def solve(
         self, matrix: AssembledMatrix, right: np.ndarray, transposed: bool
     ) -> tuple[np.ndarray, Progress]:
-        """The solution in the shape and type of the right-hand side, and how it ended."""
+        """Solves the system on the host; returns the solution in the shape and type of the
+        right-hand side, and how the solve ended.
+        """
         _, solvers = get_scipy()
         b = right.astype(np.float64).ravel()
         nothing = np.zeros_like(right)
@@ -130,12 +133,14 @@ class _Factors:
 
 
 def _norm(a: Any) -> float:
-    """The greatest norm of a column: a bound of the 2-norm from below."""
+    """The greatest norm of a column of the matrix, which is a lower bound of the 2-norm of the
+    matrix.
+    """
     return float(np.sqrt(np.asarray(a.multiply(a).sum(axis=0)).max())) if a.nnz else 0.0
 
 
 def _inverse_of_largest(a: Any, axis: int) -> np.ndarray | None:
-    """Powers of two that bring the greatest elements of rows or columns near one."""
+    """Powers of two that scale the greatest elements of rows or columns to about one."""
     largest = abs(a).max(axis=axis).toarray().ravel()
     if not (largest > 0).all():
         return None

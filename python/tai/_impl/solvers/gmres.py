@@ -8,7 +8,7 @@ from typing import Any
 from .operators import scratch
 from .system import Method, Progress, System
 
-# The least part of the residual that a cycle has to take away.
+# If a cycle of GMRES reduces the residual by less than this share, the solver stops.
 _LEAST_GAIN = 1e-3
 
 
@@ -38,7 +38,8 @@ def generalized_minimal_residuals(restart: int) -> Method:
 
 
 def _cycle(system: System, residual: float, size: int, basis: Any) -> tuple[int, str]:
-    """Improves x by the best point of a space of up to `size` dimensions.
+    """Runs a cycle of GMRES: improves x by the best point of a Krylov space of up to `size`
+    dimensions.
 
     The residual is in `system.r`. Returns the number of products, and why it cannot go on.
     """
@@ -48,7 +49,8 @@ def _cycle(system: System, residual: float, size: int, basis: Any) -> tuple[int,
     norm = residual * system.norm
     goal = system.tolerance * system.norm
     k.set_row(basis, 0, system.r, 1 / norm)
-    # The triangular factor column by column, the rotations, and the right-hand side.
+    # The data of the least-squares problem: the triangular factor by columns, the rotations, and
+    # the right-hand side.
     columns: list[list[float]] = []
     rotations: list[tuple[float, float]] = []
     right = [norm]

@@ -9,13 +9,14 @@ from typing import Any
 from .operators import scratch
 from .system import BEGIN_AGAIN, Method, Progress, System
 
-# The growth of the residual from its start after which a method begins again from the best point.
-# Rounding errors of the residual grow along with it.
+# If the residual grows to this multiple of its first value, the method starts again from the best
+# point, since rounding errors of the residual grow along with it.
 _GROWTH = {"f32": 1e3, "f64": 1e6}
 # The growth after which conjugate gradients begin again: the residual may grow by the root of the
 # condition number.
 _GROWTH_OF_CG = {"f32": 1e5, "f64": 1e10}
-# The roundings of ‖A r‖ / (‖A‖ ‖r‖) below which r counts as a vector of the null space.
+# If ‖A r‖ / (‖A‖ ‖r‖) is less than this many rounding units, r counts as a vector of the null
+# space.
 _NULL = 300
 # After the first attempt, BiCGSTAB takes no step of its second kind that is shorter than this part
 # of the one that would change the residual by its own size.
@@ -168,7 +169,8 @@ def _minimal_residuals(system: System, residual: float, limit: int) -> Progress:
         gamma = math.hypot(gamma_bar, beta) or 1.0
         cosine, sine = gamma_bar / gamma, beta / gamma
         if rest <= _NULL * epsilon * norm:
-            # ‖A r‖ = ‖r‖ rest, of the residual so far: it is in the null space, and so is the step.
+            # ‖A r‖ = ‖r‖ rest for the present residual r, so r is in the null space of A, and so is
+            # the step.
             return Progress(step, residual, "inconsistent")
         phi = cosine * phi_bar
         phi_bar *= sine

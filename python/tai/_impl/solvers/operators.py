@@ -71,7 +71,7 @@ def _offset(field: Any) -> tuple[int, ...]:
 
 
 def scratch(like: Any, role: str, rows: int = 0, columns: int = 0) -> Any:
-    """A field with the elements of another one, for the solvers of this thread alone.
+    """A scratch field with the elements of another field, for the solvers of this thread.
 
     Scratch fields whose role is `image` have a gradient, and a dual, too. With `rows`, it holds
     that many times the elements, by an index in front of theirs; with `columns`, that many rows
@@ -121,7 +121,8 @@ class Operator:
         code = self._kernel._function.__code__
         self.place = f"{shorten(code.co_filename)}:{code.co_firstlineno}"
         self.solver, self.x, self.args = solver, x, args
-        # Numbers that a tape follows are constants in all launches but the one that it records.
+        # Arguments that the tape follows are constants in all launches except the one that the tape
+        # records.
         self._plain = tuple(float(a) if tracked.gradient_of(a) is not None and isinstance(a, float)
                             else a for a in args)  # fmt: skip
         self.image = scratch(x, "image")
@@ -192,7 +193,7 @@ class Operator:
         self._run(self._kernel, self.x, self.image, self.args)
 
     def pull(self) -> None:
-        """x.grad += Jᵀ image.grad, at the present x; the gradient of the image is zero then."""
+        """Adds Jᵀ image.grad to x.grad at the present x; sets the gradient of the image to zero."""
         self._linear().grad(*self._first, self.x, self.image, *self._plain)
         self.image.grad.fill(0)
 
@@ -201,7 +202,7 @@ class Operator:
         self._run(self._linear(), source, self.image, self._plain)
 
     def push_parameters(self, source: Any) -> None:
-        """image.dual = the tangent of all that the kernel reads; in forward mode."""
+        """Computes image.dual, the tangent of all fields that the kernel reads; in forward mode."""
         self._run(self._kernel, source, self.image, self.args)
 
     def _run(self, kernel: Any, source: Any, target: Any, args: tuple) -> None:

@@ -26,7 +26,7 @@ class Preconditioner:
     """Base of preconditioners, which compute z ≈ A⁻¹ r for fields r and z."""
 
     def bind(self, solver: str, x: Any, transposed: bool) -> Apply:
-        """The function that applies it, or its transpose, to fields like x.
+        """Returns the function that applies the preconditioner, or its transpose, to fields like x.
 
         Raises:
             TaiRuntimeTypeError: it is of another shape.

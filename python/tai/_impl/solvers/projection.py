@@ -16,14 +16,14 @@ from .report import Caller
 from .system import System
 from .vectors import get_kernels
 
-# ‖A r‖ / (‖A‖ ‖r‖), below which r counts as a vector of the null space.
+# If ‖A r‖ / (‖A‖ ‖r‖) is less than this number, r counts as a vector of the null space.
 _IN_NULL_SPACE = {"f32": 1e-5, "f64": 1e-8}
 
 
 def project(
     operator: Operator, pull: Callable[[Any, Any], None], g: Any, symmetric: bool, caller: Caller
 ) -> float:
-    """Takes the part of g away that is in the null space of A.
+    """Removes from g its component in the null space of A.
 
     Args:
         operator: A.
@@ -98,5 +98,6 @@ def _descend(
             k.turn(p, s, square / last, q, 0.0)
         return _is_null(operator.apply, r)
     finally:
-        # Fields of the kernel's own hold their values at the solution again.
+        # Applies the operator once more, so that fields that the kernel writes besides hold their
+        # values at the solution again.
         operator.apply(operator.x, operator.image)

@@ -23,8 +23,9 @@ from .vectors import get_kernels
 
 
 class Adjoint(NamedTuple):
-    """The end of a solve for a gradient, and the relative norm of the part of the gradient that was
-    taken away because no solution can follow it."""
+    """How the solve for a gradient ended, and the relative norm of the component of the gradient
+    that was removed because no solution can follow it.
+    """
 
     progress: Progress
     projected: float = 0.0

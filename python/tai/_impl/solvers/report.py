@@ -14,7 +14,7 @@ from ..fields.root import name_fields
 from .operators import Operator
 from .system import Progress
 
-# The least tolerance of a run whose solves are tightened, to learn the effect of theirs.
+# The least tolerance in a run that tightens the tolerances of solvers to measure their effect.
 LEAST_TOLERANCE = {"f32": 1e-6, "f64": 1e-13}
 _REASONS = {
     "iterations": "it needs more iterations",

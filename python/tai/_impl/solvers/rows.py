@@ -22,7 +22,8 @@ def kernels() -> Any:
             keys: template(), values: template(), has_values: template(), width: i32, gap: i32,
             count: i32,
         ):  # fmt: skip
-            # A stage of Batcher's network: pairs `gap` apart, in blocks of twice the width.
+            # A stage of Batcher's sorting network: compares numbers at a distance of `gap`, in
+            # blocks of twice the width.
             first = gap % width
             for x in range(first, count - gap):
                 is_lower = (x - first) // gap % 2 == 0

@@ -113,7 +113,8 @@ class SparseMatrixBuilder(Triplets):
                 f"a kernel added to [{rows[at]}, {columns[at]}] of a matrix of "
                 f"{self.num_rows}×{self.num_cols}"
             )
-        # Threads append in any order; entries at one place are added up in this one.
+        # Threads append entries in any order; sorting fixes the order in which entries at the same
+        # place are added up.
         order = pieces.beside(lambda: np.lexsort((self.values[:number], rows, columns)), number)
         return rows[order], columns[order], self.values[:number][order]
 

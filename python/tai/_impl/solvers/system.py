@@ -13,19 +13,19 @@ from typing import Any, NamedTuple
 from .operators import scratch
 from .vectors import get_kernels
 
-# The reason of a method that has to begin again from where it is.
+# The reason that a method gives if it must restart from the present point.
 BEGIN_AGAIN = "begin again"
-# Reasons after which another start may help, and how often one is tried.
+# Reasons for an early end after which a restart may help, and the greatest number of restarts.
 _MAY_PASS = {BEGIN_AGAIN, "diverges", "breakdown"}
 _RESTARTS = 4
 # The reasons of a failure that can mean that the operator is singular.
 MAY_BE_SINGULAR = {"indefinite", "diverges", "stagnates", "iterations", "breakdown",
                    "inconsistent"}  # fmt: skip
-# Reasons for which an operator that is not symmetric may be the cause.
+# Reasons for an early end that may be caused by an operator that is not symmetric.
 _MAY_BE_ASYMMETRIC = {*MAY_BE_SINGULAR, "preconditioner"}
 # For each type, the least asymmetry of an operator that rounding does not explain.
 _ASYMMETRY = {"f32": 1e-3, "f64": 1e-8}
-# A solution is kept each time its residual has fallen by this factor.
+# The solution is saved each time its residual has fallen by this factor.
 _KEEP_EACH = 0.1
 
 
@@ -178,13 +178,17 @@ class System:
         return not 1e3 * epsilon * self.operator_norm * size <= residual * self.norm
 
     def keep(self, residual: float) -> None:
-        """Keeps the solution, if its relative residual is much less than that of the last one."""
+        """Saves the solution if its relative residual is much less than that of the last saved
+        one.
+        """
         if residual <= _KEEP_EACH * self._kept:
             self.kernels.copy(scratch(self.x, "kept"), self.x)
             self._kept = residual
 
     def _take_the_best(self, method: Method) -> float:
-        """The residual of the solution, or of the one that was kept, if that is better."""
+        """Takes the present or the saved solution, whichever has the smaller residual; returns that
+        residual.
+        """
         residual = self.compute_residual()
         if method.monotone or residual <= self._kept:
             return residual

@@ -34,7 +34,9 @@ def as_array(value: Any) -> Any:
 
 
 def find_alias(spec: Any, value: Any, values: list[Any], specs: list[Any]) -> int | None:
-    """The number of an earlier argument that is the same array, if that must be known."""
+    """The number of an earlier array argument that is the same object, if the argument has a
+    gradient; otherwise None.
+    """
     if not spec.has_gradient:
         return None
     for number, other in enumerate(specs[:-1]):

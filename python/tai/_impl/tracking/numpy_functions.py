@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-# The derivative of a function of one number, given the number and the value.
+# The type of a function that computes the derivative of a NumPy function, given the argument and
+# the value.
 UNARY: dict[str, Callable[[Any, Any], Any]] = {
     "absolute": lambda x, y: np.sign(x),
     "arccos": lambda x, y: -1 / np.sqrt(1 - x * x),
@@ -68,7 +69,8 @@ CONSTANT = {
     "logical_or", "logical_xor", "not_equal", "rint", "round", "sign", "signbit", "trunc",
 }  # fmt: skip
 
-# Functions that ask for the form of something, compare it, or write it to a file.
+# NumPy functions that need no gradient: they ask for the form of an object, compare it, or write it
+# to a file.
 FORM = {
     "allclose", "array2string", "array_equal", "array_equiv", "array_repr", "array_str", "can_cast",
     "format_float_positional", "format_float_scientific", "isclose", "iscomplexobj", "isneginf",
@@ -91,7 +93,8 @@ def where(condition: Any, x: Any, y: Any) -> Any:
     return x if condition else y
 
 
-# Functions that are made of others here, where all their arguments are single numbers.
+# NumPy functions that are composed of other functions here, if all their arguments are single
+# numbers.
 COMPOSED: dict[str, Callable[..., Any]] = {"clip": clip, "where": where}
 
 

@@ -16,7 +16,8 @@ from ..base.program import get_program
 from ..fields.scalar import ScalarField
 from ..fields.snode import FieldsBuilder, axes
 
-# Gives the kernel that computes with them; module `ad.library`, which forward mode loads, sets it.
+# A function that returns the kernel for arithmetic on tangents; module `ad.library` sets this
+# variable when it is loaded.
 get_kernel: Any = None
 
 # The most numbers that forward mode can follow at a time.
@@ -38,7 +39,8 @@ class Pool:
         builder = FieldsBuilder()
         builder.dense(axes(0), SIZE).place(self.field)
         builder.finalize()
-        # Runs of free elements by their length, and where those begin that were never taken.
+        # The free elements of the pool: contiguous runs by their length, and the first element that
+        # was never in use.
         self._free: dict[int, list[int]] = {}
         self._next = 0
 
@@ -60,7 +62,8 @@ class Pool:
 
 
 def pool_besides(inputs: list[Any]) -> Pool:
-    """The pool for values computed from these places: none of the pools of the places.
+    """Selects the pool of tangents for a value computed from values at these places; it differs
+    from all of their pools.
 
     A kernel that reads and writes the same field may, to a tape, overwrite elements that it has
     read.
@@ -74,7 +77,9 @@ def pool_besides(inputs: list[Any]) -> Pool:
 
 
 class Cell:
-    """The place of a number, vector or matrix; it is free again when this object has gone."""
+    """The place of the tangent of a number, vector or matrix in a pool; the place is free again
+    when this object is deleted.
+    """
 
     __slots__ = ("__weakref__", "count", "first", "pool")
 
@@ -116,7 +121,9 @@ def cell_of(value: Any) -> Any:
 
 
 def combine(name: str, a: Any, b: Any) -> Cell | None:
-    """The place of the result of Python's arithmetic on two numbers; None if it is a constant."""
+    """The place of the tangent of a result of Python arithmetic on two numbers; None if the result
+    is a constant.
+    """
     first, second = cell_of(a), cell_of(b)
     if first is None and second is None:
         return None

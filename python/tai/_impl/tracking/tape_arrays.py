@@ -59,7 +59,7 @@ def _copy_of(array: Any) -> Any:
     return _DeviceCopy(array) if on_device else _HostCopy(array)
 
 
-# Steps of the search for a common element of two arrays with strides.
+# The greatest number of steps of the search for a common element of two arrays with strides.
 _MOST_WORK = 100_000
 
 
@@ -86,7 +86,7 @@ def overlaps_itself(array: Any) -> bool:
         return False
     part = array
     while part.ndim:
-        # Compares the part at index 0 of this dimension with all parts behind it.
+        # Compares the subarray at index 0 of this dimension with all later subarrays.
         if overlap(part[:1], part[1:]):
             return True
         part = part[0]
@@ -94,7 +94,7 @@ def overlaps_itself(array: Any) -> bool:
 
 
 def check_written_view(kernel: str, name: str, value: Any, array: Any) -> None:
-    """Refuses a view whose elements share memory, as the target of stores.
+    """Raises an error if a kernel stores to a view whose elements share memory.
 
     Args:
         kernel, name: which parameter it is for.
@@ -189,7 +189,9 @@ def check_overlaps(held: list[HeldArray], tracks: bool) -> None:
 
 
 class _Frozen:
-    """The contents of an array at its launches, one copy for each change."""
+    """Copies of an array's contents as its launches have read them: one copy for each change of the
+    array.
+    """
 
     def __init__(self, held: HeldArray):
         self.held = held
@@ -202,7 +204,9 @@ class _Frozen:
         return self.versions[-1]
 
     def renew(self) -> None:
-        """Before the launches run forward again: they use the present contents of the array."""
+        """Called before the launches run forward again, which use the present contents of the
+        array.
+        """
         if len(self.versions) == 1:
             pieces.copy(self.versions[0], self.held.array)
         elif not _is_equal(self.versions[-1], self.held.array):
@@ -317,23 +321,25 @@ class TapeArrays:
 
     def __init__(self, core: Any, runs_again: bool, take: weakref.WeakMethod):
         self._core, self._runs_again, self._launcher = core, runs_again, native
-        # Called with the gradient of each array that a launch uses. Weak, since it is a method of
-        # the tape.
+        # A callback for the gradient of each array that a launch uses. The reference is weak
+        # because the callback is a method of the tape.
         self._take = take
-        # By address and size: a part of an array may start where the array does.
+        # Arrays are identified by address and size, since a view may start at the address of the
+        # whole array.
         self._used: dict[tuple, Any] = {}
         self._names: dict[tuple, HeldArray] = {}
         self._restored: dict[tuple, Any] = {}
-        # Arrays that recorded kernels write; arrays that launches have had copies of; arrays that
-        # gradients read.
+        # Three sets of arrays: arrays that recorded kernels write, arrays that were copied for
+        # launches, and arrays that gradients read.
         self._written: dict[tuple, Any] = {}
         self._frozen: dict[tuple, _Frozen] = {}
         self._watched: dict[tuple, _Watched] = {}
         self._sampled: dict[tuple, _Sampled] = {}
-        # Copies that the next launch writes back, and arrays that it changes.
+        # Copies that the next launch writes back to their arrays, and arrays that the next launch
+        # changes.
         self._staged: list[HeldArray] = []
         self._changing: list[HeldArray] = []
-        # Arrays of a GPU, one for each library that says on which stream it works.
+        # One GPU array for each library, which tells the stream on which its library works.
         self.streams: dict[Any, device_arrays.DeviceArray] = {}
         # The tensors with their versions, and the tensors that have a gradient.
         self._tensors: dict[int, list] = {}
@@ -393,7 +399,9 @@ class TapeArrays:
         return held.launched
 
     def _check_version(self, value: Any) -> int | None:
-        """The number of changes of a tensor by its library, which must not change now."""
+        """The number of changes of a tensor by its library. It must not change from now until the
+        reverse sweep.
+        """
         version = _version(value)
         if version is not None:
             known = self._tensors.setdefault(id(value), [value, version])
@@ -421,7 +429,9 @@ class TapeArrays:
         return copy
 
     def _look_at_sample(self, key: tuple, held: HeldArray) -> None:
-        """Notes that Python has written to the array since a launch has, if so."""
+        """Checks by a sample of elements whether Python has written to the array since the last
+        launch, and notes it.
+        """
         known = self._sampled.get(key)
         if known is not None and known.is_changed(held.launched):
             self._core.note_array_write(*_range_of(held.array))
@@ -432,7 +442,7 @@ class TapeArrays:
             self._sampled[key] = _Sampled(held)
 
     def _stage(self, held: HeldArray) -> None:
-        """The kernel gets a contiguous copy of an array; a replay copies again."""
+        """Gives the kernel a contiguous copy of an array; a replay copies again."""
         copy, array = held.launched, held.array
         self._core.keep(copy)
         self._core.note_array_copy(copy.ctypes.data, *_range_of(array))
@@ -478,7 +488,8 @@ class TapeArrays:
         self._launcher.forget_taped_arrays()
 
     def find(self, array: np.ndarray, has_gradient: bool) -> str | None:
-        """The argument of a launch that forbids Python's access to the array now, if any.
+        """The description of a launch argument that forbids an access of Python to this array now,
+        or None.
 
         A launch that got a copy of a constant array forbids nothing.
         """
@@ -517,7 +528,9 @@ class TapeArrays:
             watched.check()
 
     def take_versions(self) -> None:
-        """The launches run forward again, on the present contents of arrays and tensors."""
+        """Called when the launches run forward again: from then on, the present contents of arrays
+        and tensors count.
+        """
         for entry in self._tensors.values():
             entry[1] = _version(entry[0])
         for frozen in self._frozen.values():

@@ -211,7 +211,9 @@ def _readable(gradient: Gradient | None) -> Gradient:
 
 
 def _combine(value: float, cell: Any, *terms: tuple[Any, float]) -> Any:
-    """A number computed from others, given the partial derivatives, and where its tangent is."""
+    """Makes a number that was computed from others, given the partial derivatives and the place of
+    its tangent.
+    """
     parts = []
     for operand, partial in terms:
         gradient = gradient_of(operand) if isinstance(operand, Number) else None
@@ -315,7 +317,9 @@ class _Tracked:
         return (self[i] for i in range(len(self._array)))
 
     def _refuse_in_tape(self) -> None:
-        """Refuses arithmetic of Python on it under a tape: the result would have no gradient."""
+        """Raises an error for Python arithmetic on the value under a tape, since the result would
+        have no gradient.
+        """
         if state.tape is not None or tangents.cell_of(self) is not None:
             raise TaiAutodiffError(
                 "matrices that have a gradient are not computed with in Python while a tape "
@@ -481,7 +485,7 @@ class TapeValues:
         self.worker = None
 
     def argument(self, gradient: Gradient, dt: DataType) -> np.ndarray:
-        """The memory for the adjoint of an argument of the launch that comes next."""
+        """The memory for the adjoint of an argument of the next launch."""
         buffer = gradient.buffer(dt)
         self.core.keep(buffer)
         if gradient.is_variable:
@@ -535,7 +539,8 @@ class TapeValues:
 
 
 class ValueSweep(ArraySweep):
-    """Around a reverse sweep: sets its seeds, and puts arrays back afterwards.
+    """A context around a reverse sweep: sets the seeds of returned values, and restores arrays
+    afterwards.
 
     Args:
         losses: pairs of values and seeds.

@@ -84,15 +84,19 @@ class Builder:
     # Arithmetic
 
     def apply(self, name: str, operands: Sequence[Handle], type_: Type) -> Handle:
-        """An operation of `arith` or `math` that is its operands and one result alone."""
+        """Appends an operation of the dialects `arith` or `math` that has operands, one result and
+        no attributes.
+        """
         return self._op(name, operands, [type_])
 
     def compare_floats(self, predicate: int, a: Handle, b: Handle, type_: Type) -> Handle:
-        """Whether a predicate holds, such as `ORDERED["<"]`; the result is of type `type_`."""
+        """Compares two floats by a predicate, such as `ORDERED["<"]`; the result is of type
+        `type_`.
+        """
         return self._op("arith.cmpf", [a, b], [type_], {"predicate": self._number(predicate)})
 
     def compare_integers(self, predicate: int, a: Handle, b: Handle, type_: Type) -> Handle:
-        """Whether a predicate holds, such as `SIGNED["<"]`."""
+        """Compares two integers by a predicate, such as `SIGNED["<"]`."""
         return self._op("arith.cmpi", [a, b], [type_], {"predicate": self._number(predicate)})
 
     def select(self, condition: Handle, a: Handle, b: Handle, type_: Type) -> Handle:
@@ -187,11 +191,11 @@ class Builder:
     # Branches and loops
 
     def condition_of_while(self, go_on: Handle, carried: Sequence[Handle]) -> None:
-        """Ends the first region of a `while_`."""
+        """Ends the condition region of an `scf.while`."""
         self._op("scf.condition", [go_on, *carried], [])
 
     def yield_(self, values: Sequence[Handle] = ()) -> None:
-        """Ends a branch, or an iteration of a loop that carries values."""
+        """Ends a branch, or the body of a loop that carries values."""
         self._op("scf.yield", values, [])
 
     def if_(
@@ -216,7 +220,8 @@ class Builder:
         field: str | None = None, level: int | None = None, is_serial: bool = False,
         block_dim: int = 0,
     ) -> None:  # fmt: skip
-        """A loop over a box of indices, or over the elements of a field or the cells of a level.
+        """Appends a parallel loop over a box of indices, over the elements of a field, or over the
+        cells of a level.
 
         Args:
             body: takes an index for each dimension.
@@ -274,7 +279,9 @@ class Builder:
         self, kind: str, field: str, value: Handle, indices: Sequence[Handle],
         component: Sequence[Handle], type_: Type,
     ) -> Handle:  # fmt: skip
-        """Combines an element with a value (`add`, `min`, …); gives the former value."""
+        """Combines an element of a field with a value (`add`, `min`, …); returns the former
+        value.
+        """
         return self._op(
             "tai.atomic",
             [value, *indices, *component],
@@ -286,7 +293,8 @@ class Builder:
             },
         )
 
-    # Sparse levels, named by a field below and how many levels above it they are
+    # Operations on sparse levels. A level is named by a field below it and by how many levels above
+    # the field it is.
 
     def _cell(
         self, name: str, field: str, level: int, indices: Sequence[Handle], types: list[Type]
@@ -295,7 +303,7 @@ class Builder:
         return self._op(name, indices, types, attributes)
 
     def activate(self, field: str, level: int, indices: Sequence[Handle]) -> None:
-        """Makes a cell active, whose values are zero if it was not."""
+        """Activates a cell; its values are zero if it was inactive."""
         self._cell("tai.activate", field, level, indices, [])
 
     def deactivate(self, field: str, level: int, indices: Sequence[Handle]) -> None:
@@ -307,7 +315,7 @@ class Builder:
         return self._cell("tai.is_active", field, level, indices, [self.type("i1")])
 
     def append(self, field: str, value: Handle, indices: Sequence[Handle]) -> Handle:
-        """Adds a cell to the list of a field; gives its index."""
+        """Appends a cell to the list of a field; returns its index."""
         attributes = {"field": self._symbol(field)}
         return self._op("tai.append", [value, *indices], [self.type("index")], attributes)
 
@@ -331,7 +339,9 @@ class Builder:
     def atomic_in_array(
         self, kind: str, value: Handle, array: Handle, indices: Sequence[Handle], type_: Type
     ) -> Handle:
-        """Combines an element with a value (`addf`, `maxs`, …); gives the former value."""
+        """Combines an element of an array with a value (`addf`, `maxs`, …); returns the former
+        value.
+        """
         attributes = {"kind": self._number(_ARRAY_ATOMICS[kind])}
         return self._op("memref.atomic_rmw", [value, array, *indices], [type_], attributes)
 
@@ -341,7 +351,8 @@ class Builder:
         self, condition: Handle, message: str, values: Iterable[Handle] = (),
         failure: int | None = None,
     ) -> None:  # fmt: skip
-        """Ends the program unless the condition holds; `{}` in the message are the values.
+        """Appends an assertion that ends the program if the condition does not hold; `{}` in the
+        message stand for the values.
 
         Args:
             failure: its kind, such as `FAIL_INDEX`. Others are for debug mode.

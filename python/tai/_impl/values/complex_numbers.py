@@ -32,7 +32,8 @@ def cdiv(a: Any, b: Any) -> Any:
 
 def csqrt(z: Any) -> Any:
     """The principal square root; that of a negative real number has a positive imaginary part."""
-    # The larger of the two parts first: the other one from it, without cancellation.
+    # The larger of the real and imaginary parts is computed first, and the smaller one from it,
+    # without cancellation.
     large = ops.sqrt(0.5 * (z.norm() + ops.abs(z[0])))
     small = 0.5 * ops.abs(z[1]) / ops.select(large > 0, large, 1.0)
     right = z[0] >= 0

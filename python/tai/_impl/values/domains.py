@@ -15,8 +15,9 @@ from .value import Value
 if TYPE_CHECKING:
     from .emitter import Emitter
 
-# The predicate that holds where there is a value, the bound, whether of the absolute value, and the
-# text of the message. NaN passes: it was made elsewhere.
+# For each function with a limited domain: the predicate that holds inside of the domain, the bound,
+# whether the absolute value is compared, and the text of the message. NaN is accepted, since
+# another operation has made it.
 _ABOVE, _FROM, _UP_TO = (UNORDERED[op] for op in (">", ">=", "<="))
 _DOMAINS = {
     "log": (_ABOVE, 0.0, False, "the logarithm of {}"),
@@ -33,7 +34,9 @@ _DOMAINS = {
 
 
 def check_domain(emitter: Emitter, name: str, x: Value) -> None:
-    """Stops a debug run where a function is computed outside of its domain."""
+    """Emits a check, in debug mode, that stops the program if a function is computed outside of its
+    domain.
+    """
     if not state.options.debug or name not in _DOMAINS:
         return
     predicate, bound, absolute, what = _DOMAINS[name]
@@ -66,7 +69,9 @@ def _require(emitter: Emitter, holds: Value, value: Value, what: str) -> None:
 def require(
     emitter: Emitter, holds: Value, message: str, values: list[Value], failure: int | None = None
 ) -> None:
-    """Fails unless it holds, or the arm of a select that it stands in is not taken."""
+    """Emits an assertion. Inside of an argument of a select, the assertion only counts if that
+    argument is selected.
+    """
     for condition, wanted in emitter.arms:
         if not isinstance(condition, Value):
             continue

@@ -58,7 +58,7 @@ class Emitter:
 
     def __init__(self, builder: Builder):
         self.builder = builder
-        # The compiler's way to call a function that Python code calls while it compiles.
+        # A function of the compiler for calls that Python code makes while it is traced.
         self.call: Any = None
         # The function that makes a value of a struct type from its members.
         self.make_struct: Any = None
@@ -73,12 +73,13 @@ class Emitter:
         self.num_random = 0
         # The fields that the kernel reads or writes, collected for its declarations.
         self.fields: set[Any] = set()
-        # Places that it stores to, and places that it changes by atomics.
+        # The storage places that the kernel stores to, and those that it changes by atomics.
         self.stored: set[Any] = set()
         self.accumulated: set[Any] = set()
         # The fields whose loaded values are constants to gradients, by identity.
         self.stopped: set[int] = set()
-        # The arms of selects that are being emitted: conditions, and which way they must go.
+        # The select arguments that are being emitted: the condition of each select, and the value
+        # at which the argument is selected.
         self.arms: list[tuple[Any, bool]] = []
         # The worlds of the batch that the kernel runs for; see `frontend.worlds`.
         self.worlds: Any = None
@@ -242,7 +243,7 @@ class Emitter:
     # Operations
 
     def scalar_op(self, op: Callable[..., Any], operands: list[Value], dt: DataType) -> Value:
-        """A number that an operation of the builder makes, such as `builder.dot`."""
+        """Emits an operation of the builder, such as `builder.dot`, whose result is a number."""
         return Value(self, op(*(v.handle for v in operands), self.type_of(dt)), dt)
 
     def matrix_op(
@@ -253,18 +254,20 @@ class Emitter:
         return MatrixValue(self, handle, dt, shape)
 
     def elementwise(self, name: str, operands: list[Value], dt: DataType) -> Any:
-        """The result of an operation of `arith` or `math` on values of one shape."""
+        """Emits an operation of the dialects `arith` or `math` on values of one shape."""
         shape = operands[0].shape
         handle = self.builder.apply(name, [v.handle for v in operands], self.type_of(dt, shape))
         return self.value(handle, dt, shape)
 
     def loaded(self, field: Any, value: Any) -> Any:
-        """The value that a kernel uses after it has loaded an element of a field."""
+        """Called for each element that a kernel loads; returns the value that the kernel uses."""
         del field
         return value
 
     def added(self, field: Any, value: Any) -> Any:
-        """The value that a kernel adds to an element of a field."""
+        """Called for each value that a kernel adds to an element; returns the value that is
+        added.
+        """
         del field
         return value
 
@@ -283,7 +286,9 @@ class Emitter:
         return Value(self, handle, matrix.dt)
 
     def with_component(self, matrix: MatrixValue, component: Any, value: Value) -> MatrixValue:
-        """The matrix with one component replaced; the component is a number or a value."""
+        """A matrix value with one component replaced; the component's index is a number or a
+        value.
+        """
         if isinstance(component, Value):
             return positions.replace(self, matrix, component, value)
         shape = matrix.shape
@@ -389,7 +394,9 @@ class Emitter:
         return MatrixValue(self, handle, value.dt, shape)
 
     def operands(self, a: Any, b: Any) -> tuple[Value, Value, DataType]:
-        """Two operands as values, and their common type, which plain numbers take."""
+        """Converts two operands to values, and finds their common type, which plain Python numbers
+        take.
+        """
         weak_a, weak_b = not isinstance(a, Value), not isinstance(b, Value)
         number = (bool, int, float, np.generic)
         if weak_a and isinstance(a, number) and not weak_b:
@@ -450,7 +457,7 @@ class Emitter:
         return self.cast(value, computed_in(dt))
 
     def to_computed(self, value: Any) -> Any:
-        """The value in the type that arithmetic on it takes place in."""
+        """Converts a value to the type in which arithmetic on it is done."""
         return self.cast(value, computed_in(value.dt))
 
     def to_bool(self, value: Any) -> Value:
@@ -486,7 +493,7 @@ class Emitter:
         return self.builder.apply(name, [value.handle], self.index_type)
 
     def from_index(self, handle: Any, dt: DataType = i32) -> Value:
-        """A loop variable as an integer, which remembers the index it came from."""
+        """Converts a loop index to an integer that remembers the index."""
         made = self.builder.apply("arith.index_cast", [handle], self.type_of(dt))
         return Value(self, made, dt, index=handle)
 
@@ -529,7 +536,9 @@ class Emitter:
         raise TaiCompilationError(f"there is no operation '{name}'")
 
     def _by_base_e(self, name: str, x: Any) -> Any:
-        """Functions to the base of 2 where some units are no matter: there are vectors of these."""
+        """Computes exp2 and log2 by exp and log, with an error of some units in the last place,
+        because only exp and log have vector forms.
+        """
         if name == "exp2":
             return self.unary("exp", self.binary("*", x, math.log(2.0)))
         return self.binary("*", self.unary("log", x), 1.0 / math.log(2.0))
@@ -744,7 +753,9 @@ class Emitter:
             raise TaiTypeError(f"{what} of a {matrix.kind_name}: at most 4×4")
 
     def decompose(self, name: str, matrix: Any, results: list[tuple[int, ...]]) -> tuple:
-        """The factors of a matrix, of the given shapes; for `name` see the builder."""
+        """The factors of a decomposition of a matrix, with the given shapes; for `name` see the
+        builder.
+        """
         matrix = self.to_float(matrix)
         types = [self.type_of(matrix.dt, shape) for shape in results]
         made = self.builder.decompose(name, matrix.handle, types)

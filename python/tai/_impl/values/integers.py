@@ -76,7 +76,7 @@ def _integer_power(emitter: Emitter, a: Value, b: Value) -> Any:
     odd = emitter.compare("!=", emitter.binary("&", left, 1), 0)
     result = emitter.select(odd, emitter.binary("*", result, base), result)
     base = emitter.binary("*", base, base)
-    # The count is positive, also with its highest bit set where it has no sign.
+    # The remaining exponent counts as unsigned, so the shift to the right fills with zeros.
     left = emitter.elementwise("arith.shrui", [left, emitter.constant(1, b.dt)], b.dt)
     builder.yield_([result.handle, base.handle, left.handle])
     builder.set_block(outer)
@@ -96,7 +96,7 @@ def _integer_power(emitter: Emitter, a: Value, b: Value) -> Any:
 
 
 def integer_power(emitter: Emitter, a: Value, b: Value, dt: DataType) -> Any:
-    """`a ** b` in type `dt`. A power is no number of that type: it keeps its sign."""
+    """`a ** b` for integers: base and result are of type `dt`; the exponent keeps its own type."""
     default, shape = state.options.default_ip, a.shape or b.shape
     a = emitter.cast(a, default if dt.is_bool else dt)
     b = emitter.cast(b, default) if b.dt.is_bool else b
@@ -104,7 +104,7 @@ def integer_power(emitter: Emitter, a: Value, b: Value, dt: DataType) -> Any:
 
 
 def check_signs(op: str, a: Any, b: Any) -> None:
-    """Refuses to compare a value that is never negative with a negative number."""
+    """Raises an error for a comparison of an unsigned value with a negative number."""
     if op in ("==", "!="):
         return
     for number, value in ((a, b), (b, a)):
@@ -118,7 +118,9 @@ def check_signs(op: str, a: Any, b: Any) -> None:
 
 
 def operand_beside(emitter: Emitter, number: Any, dt: DataType) -> Value:
-    """A plain number beside a value. Unsigned numbers count modulo a power of two."""
+    """Converts a plain Python number to the type of a value. Unsigned numbers count modulo a power
+    of two.
+    """
     if dt.kind == "u" and isinstance(number, (int, np.integer)) and -dt.max // 2 <= number < 0:
         number = wrapped(int(number), dt)
     return emitter.constant(number, dt)

@@ -66,7 +66,9 @@ class Matrix:
 
     @classmethod
     def _wrap(cls, array: np.ndarray) -> Any:
-        """A matrix around an array that has no other user; a number for no dimension."""
+        """Wraps an array that has no other user in a matrix or vector; an array without dimensions
+        becomes a number.
+        """
         if np.ndim(array) == 0:
             return array.item() if isinstance(array, (np.generic, np.ndarray)) else array
         made = object.__new__(Vector if array.ndim == 1 else Matrix)
@@ -394,7 +396,9 @@ for _name, _function in {
 
 
 def _dispatch(name: str) -> None:
-    """Lets `ti.Vector.normalized(v)` take a value of a kernel, which has the same method."""
+    """Makes a method callable by the class name, as in `ti.Vector.normalized(v)`, also with a value
+    of a kernel.
+    """
     method = getattr(Matrix, name)
 
     @functools.wraps(method)
@@ -428,7 +432,7 @@ def _to_array(arr: Any) -> np.ndarray:
 
 
 def _converted(array: np.ndarray, dt: Any) -> np.ndarray:
-    """The numbers in a type that was named, as `ti.cast` has them."""
+    """Converts the numbers of a matrix to the type that the program names, as `ti.cast` does."""
     if array.dtype.kind in "iuf" and dt.is_int and not np.can_cast(array.dtype, dt.numpy):
         numbers = [dtypes.convert(x, dt) for x in array.ravel().tolist()]
         return np.array(numbers, dt.numpy).reshape(array.shape)
@@ -470,7 +474,9 @@ def apply(function: Any, a: Any, b: Any) -> Any:
 
 
 def _typed(value: Any) -> Any:
-    """An array; a Python number stays one, for it has no type of its own."""
+    """Converts a list to an array; a Python number is returned as it is, because it has no type of
+    its own.
+    """
     if isinstance(value, (list, tuple)):
         return Matrix(value)._array
     return _plain(value)

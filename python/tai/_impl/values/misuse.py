@@ -37,7 +37,9 @@ def name_of(thing: Any) -> str:
 
 
 def said_as(thing: Any) -> str:
-    """An object of a program in an error that expects something else."""
+    """Describes an object of a program, for an error message that says something else was
+    expected.
+    """
     if isinstance(thing, Value):
         return thing.kind_name
     if isinstance(thing, Elements):

@@ -132,7 +132,8 @@ def _whole(function: Callable[[float], int]) -> Callable[[float], float]:
 
 
 def _half_away(x: float) -> int:
-    # x + 0.5 would round the largest number below 0.5 to 1.
+    # Adding 0.5 is not used for rounding, because x + 0.5 would round the largest number below 0.5
+    # to 1.
     whole = math.trunc(x)
     return whole + int(math.copysign(1, x)) if builtins.abs(x - whole) >= 0.5 else whole
 

@@ -15,13 +15,15 @@ from .value import MatrixValue, Value
 if TYPE_CHECKING:
     from .emitter import Emitter
 
-# Components of a matrix up to which such an index is a chain of selects. `tai-vectors-to-memory`
-# decides about larger ones.
+# If a matrix has at most this many components, an index known only at run time is compiled to a
+# chain of selects; the pass `tai-vectors-to-memory` decides about larger matrices.
 _MAX_SELECTS = 6
 
 
 def flat(emitter: Emitter, component: Any, shape: tuple[int, ...]) -> Any:
-    """The number of a component, counted row by row, of one that may be a row and a column."""
+    """Converts an index that may be a pair of row and column to the number of the component,
+    counted by rows.
+    """
     if not isinstance(component, tuple):
         return component
     row, column = component
@@ -57,7 +59,9 @@ def in_range(emitter: Emitter, component: Any, matrix: Any) -> Any:
 
 
 def _is_below(emitter: Emitter, index: Value, count: int) -> tuple[Value, Value]:
-    """The index in a type that can count so far, and whether it is from 0 to `count` - 1."""
+    """Converts the index to a type that holds `count`, and tests whether the index is from 0 to
+    `count` - 1.
+    """
     index = emitter.cast(index, promote(index.dt, i32))
     limit = emitter.constant(count, index.dt)
     return index, emitter.compare_by(UNSIGNED["<"], index, limit)
@@ -87,12 +91,16 @@ def replace(emitter: Emitter, matrix: MatrixValue, component: Value, value: Valu
 
 
 def _choose(emitter: Emitter, holds: Value, new: Value, old: Value, matrix: MatrixValue) -> Any:
-    """One of two components, in the type that the matrix stores: a select computes in f32."""
+    """Selects one of two components, converted to the stored type of the matrix, since a select
+    computes 16-bit floats in f32.
+    """
     return emitter.cast(emitter.select(holds, new, old), matrix.dt)
 
 
 def _locate(emitter: Emitter, matrix: MatrixValue, component: Value) -> tuple[Any, Any, Value]:
-    """The components as one vector, an index in range, and whether the given one is."""
+    """Returns the components as one vector, an index that is always in range, and whether the given
+    index was in range.
+    """
     count = math.prod(matrix.shape)
     component, holds = _is_below(emitter, component, count)
     index = emitter.to_index(emitter.select(holds, component, count - 1))
@@ -110,7 +118,7 @@ def _extract(emitter: Emitter, vector: Any, index: Any, matrix: MatrixValue) -> 
 
 def _insert(emitter: Emitter, matrix: MatrixValue, component: Value, value: Value) -> MatrixValue:
     vector, index, holds = _locate(emitter, matrix, component)
-    # An index out of range is replaced by the one of another component, which keeps its value.
+    # If the index is out of range, another component is chosen instead, and keeps its value.
     kept = _choose(emitter, holds, value, _extract(emitter, vector, index, matrix), matrix)
     flat_type = emitter.type_of(matrix.dt, (math.prod(matrix.shape),))
     vector = emitter.builder.insert_at(kept.handle, vector, index, flat_type)
