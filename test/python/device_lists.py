@@ -57,6 +57,7 @@ ONE_RUN_DOES = {
         "test_matrices_without_an_incomplete_factor": CPU,
         "test_on_a_device": CHOOSES,
     },
+    "test_interrupted_steps": {ALL: "of the steps of the package, which no target changes"},
     "test_interrupts": {ALL: "of kernels on the CPU; those of a device: test_device_interrupts"},
     "test_lazy_names": {ALL: NAMES},
     "test_looped_copies": {"test_loops_that_are_no_sum": CPU},
@@ -64,6 +65,7 @@ ONE_RUN_DOES = {
         "test_in_python": "matrices of Python, which no kernel computes",
         "test_python_matrices": "matrices of Python, which no kernel computes",
     },
+    "test_one_thread": {ALL: CPU},
     "test_other_iterations": {"test_one_thread_has_an_order": CPU},
     "test_perf_map": {ALL: CPU},
     "test_random_kernels": {"test_a_few_dozen": "the targets of a GPU are a step of make test-gpu"},
@@ -127,6 +129,20 @@ NOT_RUN_ON_A_GPU = {
     "test_device_interrupts": {
         "test_a_kernel_is_interrupted": "endless iterations of a GPU are not ended yet",
     },
+    "test_interrupted_copies": dict.fromkeys(
+        [
+            "test_a_replay_that_does_not_reach_its_end", "test_a_write_stops_before_its_end",
+            "test_gradients_on_their_way_to_zero", "test_values_that_a_sweep_puts_back",
+        ],
+        "a GPU is done before the signal comes",
+    ),
+    "test_numpy_protocols": dict.fromkeys(
+        [
+            "test_how_a_gpu_describes_members_of_structs_and_parts_of_trees",
+            "test_how_a_gpu_describes_the_memory_of_a_field",
+        ],
+        "NumPy cannot follow addresses of a GPU",
+    ),
     "test_stripped_attributes": {
         "test_results_stay": "attributes between passes of device code may not be lost yet",
     },

@@ -4,6 +4,8 @@ or is an error of ours with a hint."""
 import numpy as np
 import pytest
 import tai as ti
+from tai._impl.frameworks.xla_buffers import DeviceBuffer
+from tai._impl.interop import device_arrays
 
 HUGE = 10**400
 
@@ -398,3 +400,19 @@ def test_arrays_of_jax_where_they_cannot_be_used():
         return x
 
     refused(lambda: traced(jax.numpy.zeros(3)), "that JAX traces has no memory", "ti.jax.wrap")
+
+
+def test_traced_arrays_with_a_layout_of_their_own():
+    """Newer versions of JAX give tracers a `layout`, as torch gives its tensors."""
+    kind = type("DynamicJaxprTracer", (), {"__module__": "jax._src.core", "layout": "Layout((0,))"})
+    error = device_arrays._not_shared(kind(), TypeError("no"))
+    assert "that JAX traces has no memory" in error.message
+
+
+def test_parts_of_buffers_of_a_gpu():
+    whole = DeviceBuffer(4096, (3, 5, 2), np.float32, 0)
+    part = whole[(2, 1, ...)]
+    assert (part.shape, part.ndim, part.nbytes) == ((2,), 1, 8)
+    assert part.ctypes.data == 4096 + 4 * (2 * 10 + 1 * 2) and part.flags.writeable
+    whole.flags.writeable = False
+    assert not whole[(0, ...)].flags.writeable

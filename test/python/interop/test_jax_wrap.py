@@ -12,6 +12,8 @@ import tai as ti
 jax = pytest.importorskip("jax", reason="JAX is not installed: pip install jax")
 jnp = pytest.importorskip("jax.numpy", reason="JAX is not installed: pip install jax")
 from jax.test_util import check_grads  # noqa: E402
+from tai._impl.frameworks import jax_operators  # noqa: E402
+from tai._impl.frameworks.xla_buffers import DeviceBuffer  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
@@ -220,6 +222,13 @@ def test_kernels_that_write_to_inputs():
         with pytest.raises(Exception, match="'spoil' writes to an input"):
             jax.block_until_ready(f(x))
     np.testing.assert_array_equal(x, before)
+
+
+def test_arrays_of_a_gpu_have_the_attributes_of_arrays():
+    given = [DeviceBuffer(4096 * n, (3, 2), np.float64, 0) for n in (1, 2)]
+    array = jax_operators._with_gradient(*given)
+    assert (array.shape, array.ndim, array.dtype) == ((3, 2), 2, np.float64)
+    assert array.grad.shape == (3, 2) and array.grad.grad is None
 
 
 def test_mistakes():

@@ -35,10 +35,17 @@ _tasks: list[_Task] = []
 
 
 class _Array:
-    """An array and its gradient as kernels take them; the memory of both belongs to XLA."""
+    """An array on a GPU and its gradient as kernels take them; the memory of both belongs to XLA.
+
+    Attributes:
+        shape: the extents.
+        dtype: the type of the elements, as of an array of NumPy.
+        ndim: the number of dimensions.
+    """
 
     def __init__(self, array: Any, grad: Any):
         self.array, self.grad = array, None if grad is None else _Array(grad, None)
+        self.shape, self.dtype, self.ndim = array.shape, array.dtype, array.ndim
 
 
 def _with_gradient(array: Any, grad: Any) -> Any:
@@ -70,8 +77,7 @@ class _Task:
         types = tuple([o.dtype for o in operands])
         if types not in self._checked:
             for operand in operands[: len(self._operator.inputs)]:
-                if isinstance(operand, np.ndarray):
-                    operand.flags.writeable = False  # To write to it is an error.
+                operand.flags.writeable = False  # To write to it is an error.
             try:
                 self._run(operands, results)
             except TaiRuntimeTypeError as error:

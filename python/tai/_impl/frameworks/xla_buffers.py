@@ -51,7 +51,9 @@ class DeviceBuffer(DeviceArray):
         for i, extent in zip(at, self.shape, strict=False):
             offset = offset * extent + i
         address = self.ctypes.data + offset * step * self.dtype.itemsize
-        return DeviceBuffer(address, rest, self.dtype, self.queue, self)
+        part = DeviceBuffer(address, rest, self.dtype, self.queue, self)
+        part.flags.writeable = self.flags.writeable
+        return part
 
     def clear(self) -> None:
         _call("cuMemsetD8Async", _address(self.ctypes.data), ctypes.c_ubyte(0),

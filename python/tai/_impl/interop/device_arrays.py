@@ -148,9 +148,6 @@ def is_of_jax(value: Any) -> bool:
 
 def _not_shared(value: Any, error: Exception | None) -> TaiRuntimeTypeError:
     """The error for an array whose library does not share its memory."""
-    for is_form, what, hint in _FORMS:
-        if is_form(value):
-            return TaiRuntimeTypeError(f"the tensor {what}: kernels take dense memory", hint)
     name = type(value).__name__
     if is_of_jax(value) and name.endswith("Tracer"):
         return TaiRuntimeTypeError(
@@ -158,6 +155,9 @@ def _not_shared(value: Any, error: Exception | None) -> TaiRuntimeTypeError:
             "within jit, grad and vmap, call a function that ti.jax.wrap makes of the kernel: see "
             "docs/guides/jax.md",
         )
+    for is_form, what, hint in _FORMS:
+        if is_form(value):
+            return TaiRuntimeTypeError(f"the tensor {what}: kernels take dense memory", hint)
     reason = str(error).splitlines()[0] if str(error) else type(error).__name__
     return TaiRuntimeTypeError(
         f"the memory of a {name} cannot be shared: {reason}", "pass a dense copy on the CPU"
