@@ -30,6 +30,7 @@ import tempfile
 import time
 import types
 import warnings
+from collections import Counter
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -120,6 +121,7 @@ def measure(
 
     row["true"] = distances((found.loss, flat(found.gradients)), exact)
     row |= {"expected": found.error, "iterations": found.iterations, "modes": found.modes,
+            "room": found.room,
             "parts": {part.name: part.error for part in found.parts}}  # fmt: skip
     return row | compare(run, loss, wrt, flat, exact, found, asked)
 
@@ -224,21 +226,25 @@ def shown(row: dict) -> str:
     )
 
 
-def page_of(rows: list[dict], machine: str, size: str, has_picture: bool) -> str:
+def page_of(rows: list[dict], size: str, has_picture: bool) -> str:
     """The page: each sentence with a figure is made of the rows."""
     done = [row for row in rows if "refused" not in row]
     above = [row for row in done if row["true"] > row["asked"]]
     knobs = [row for row in done if {"steps", "tol"} & set(row["modes"])]
     inside = [row for row in done if LEAST_ERROR <= row["true"] / row["asked"] <= 1]
+    alone = [row for row in done if verdict(row) == "no cheaper mode"]
+    outside = [row for row in done if row not in inside and row not in alone]
     inside_knobs = [row for row in knobs if row in inside]
     ratios = sorted(row["ratio"] for row in done if row["ratio"] is not None)
     quick = [row for row in done if "slower" not in verdict(row)]
     most = max((row["iterations"] for row in done), default=0)
+    counts = Counter(row["machine"] for row in rows)
+    machines = "; ".join(f"{name} ({count} calls)" for name, count in counts.items())
     lines = [
         "# An error that is asked for, and the true one",
         "",
         "Written by `python benchmarks/error/solve_to.py --write`, which describes references and",
-        f"rules; {machine}, size {size}. The machine was shared with other work: ratios of times "
+        f"rules; {machines}, size {size}. Machines were shared with other work: ratios of times "
         "are of",
         f"medians over {ROUNDS} rounds in turns, and still a hint: a choice counts as slower than",
         "1.2 times the best only if the quartiles say so.",
@@ -246,11 +252,14 @@ def page_of(rows: list[dict], machine: str, size: str, has_picture: bool) -> str
         f"- {len(rows)} calls, {len(rows) - len(done)} refused, **{len(above)} with more error "
         "than asked**; at most "
         f"{most} iterations.",
-        f"- The true error is within 0.05 and 1 of the one asked for in {len(inside)} of "
-        f"{len(done)}; where steps or a tolerance",
-        f"  can fill the room, in {len(inside_knobs)} of {len(knobs)}. Elsewhere a mode has the "
-        "error that it has: *no cheaper mode* says that",
-        "  of all modes that keep the error none is faster by more than 1.2 times.",
+        "- The true error is within 0.05 and 1 of the one asked for wherever a cheaper mode, steps "
+        "or a tolerance can fill the",
+        f"  room: **{len(inside)} of {len(inside) + len(outside)}** (of {len(knobs)} calls with "
+        f"steps or a tolerance, {len(inside_knobs)}).",
+        f"- In the other {len(alone)} calls the cheapest mode has less error than that: between 16 "
+        "bits, f32 and f64 there is",
+        "  nothing to choose from, and no mode that keeps the error is faster by more than 1.2 "
+        "times. `result.room` says so.",
         "- The choice takes at most 1.2 times the best mode, but for the spread, in "
         f"{len(quick)} of {len(done)}"
         + (
@@ -260,8 +269,15 @@ def page_of(rows: list[dict], machine: str, size: str, has_picture: bool) -> str
         ),
         "",
         *([f"![asked and true errors](pictures/{PICTURE.name})", ""] if has_picture else []),
+        "## Where there is room",
+        "",
         HEAD,
-        *map(shown, rows),
+        *(shown(row) for row in rows if row not in alone),
+        "",
+        "## Where the cheapest mode has less error than was asked for",
+        "",
+        HEAD,
+        *map(shown, alone),
     ]
     return "\n".join(lines) + "\n"
 
@@ -353,14 +369,16 @@ def main() -> int:
             for error in wanted:
                 row = call(scene, error, args, reference, work)
                 if row is not None:
-                    rows.append(row)
+                    rows.append(row | {"machine": harness.machine()})
                     print(shown(row), flush=True)
                     if args.write:
                         text = json.dumps({"size": args.size, "rows": rows}, indent=1)
                         TABLE.write_text(text + "\n")
     if args.write:
+        # Rows that were kept keep their machine.
+        rows.sort(key=lambda row: (names.index(row["scene"]), -row["asked"]))
         has_picture = draw(rows, PICTURE)
-        PAGE.write_text(page_of(rows, harness.machine(), args.size, has_picture))
+        PAGE.write_text(page_of(rows, args.size, has_picture))
     failed = [row for row in rows if verdict(row).startswith("FAILS")]
     for row in failed:
         print(f"{row['scene']} {row['asked']:.0e}: {verdict(row)}", file=sys.stderr)

@@ -16,7 +16,8 @@ static bool isOff(TaiContext context) {
 TaiStatus taiShadowRows(TaiContext context, const TaiShadowRow **rows,
                         int64_t *count) {
   return call(*context, [&]() -> TaiStatus {
-    if (isOff(context))
+    // Rows stay when the option is set to false again.
+    if (isOff(context) && !tai_rt_shadows)
       return context->usage("kernels have no shadows: set the option 'shadow'");
     context->shadows = context->session.getRuntime().shadowLog().rows();
     context->shadowRows.clear();

@@ -19,6 +19,7 @@ from ._impl.base.shadows import ShadowRow as ShadowRow
 from ._impl.base.shadows import clear_shadow_report as clear_shadow_report
 from ._impl.base.shadows import shadow_report as shadow_report
 from ._impl.launch.shadow_values import shadow_values as shadow_values
+from ._impl.launch.shadow_values import shadows as shadows
 from .errors import TaiRuntimeError, TaiRuntimeTypeError
 from .gui import GUI
 

@@ -222,6 +222,50 @@ def test_steps_fill_the_room(error):
     assert found.iterations <= 20
 
 
+def test_room_that_no_mode_fills():
+    """f32 has a hundred-thousandth of the error, and few numbers gain nothing from 16 bits."""
+    ti.init(default_fp=ti.f32, offline_cache=False)
+    run, loss, wrt, *_ = sines()
+    found = ti.solve_to(run, loss=loss, wrt=wrt, error=1e-2)
+    assert found.error < 0.05e-2
+    assert "already gives" in found.room and "can be stored in 16 bits" in found.room
+    assert f"room: {found.room}" in str(found)
+
+
+def test_room_names_the_modes_that_fail():
+    ti.init(default_fp=ti.f32, offline_cache=False)
+    run, loss, wrt, *_ = sines()
+    found = ti.solve_to(run, loss=loss, wrt=wrt, error=1e-9)
+    assert found.modes["precision"] == "f64"
+    assert "f32: is" in found.room and "off by" in found.room
+
+
+def test_no_room_is_left_by_steps():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    run, loss, v0 = pendulum()
+    assert ti.solve_to(run, loss=loss, wrt=[v0], error=1e-3).room == ""
+
+
+def test_a_gradient_that_loses_more_than_the_loss():
+    """In f64, the estimate of the loss says 1e-16, and the gradient loses three digits more."""
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x, loss = scalar(64), scalar()
+
+    @ti.kernel
+    def run():
+        for i in x:
+            d = (x[i] + 1000.0) - 1000.0
+            loss[None] += 1.0 + 1e-8 * d * d
+
+    point = np.linspace(0.11, 0.97, 64)
+    x.from_numpy(point)
+    found = ti.solve_to(run, loss=loss, wrt=[x], error=1e-11)
+    true = distances(found, np.sum(1 + 1e-8 * point**2), [2e-8 * point])
+    assert 1e-14 < true <= found.error <= 1e-11
+    with pytest.raises(TaiAutodiffError, match="is not kept by any mode"):
+        ti.solve_to(run, loss=loss, wrt=[x], error=1e-13)
+
+
 def test_steps_that_would_take_too_long():
     ti.init(default_fp=ti.f64, offline_cache=False)
     run, loss, v0 = pendulum()

@@ -496,3 +496,87 @@ def test_values_without_shadows_are_refused():
     ti.init(arch=ti.cpu)
     with pytest.raises(TaiRuntimeError, match="kernels have no shadows"):
         ti.tools.shadow_values(ti.field(ti.f32, 3))
+
+
+# Blocks of a program that has no shadows otherwise
+
+
+def chain(n=64):
+    """A program whose second line loses digits, in both directions."""
+    x, y, loss = (ti.field(ti.f32, shape, needs_grad=True) for shape in (n, n, ()))
+
+    @ti.kernel
+    def far():
+        for i in x:
+            y[i] = ti.sin(x[i]) + 10000.0
+
+    @ti.kernel
+    def near():
+        for i in y:
+            loss[None] += (y[i] - 10000.0) ** 2
+
+    def run():
+        with ti.ad.Tape(loss):
+            far()
+            near()
+        return loss[None], x.grad.to_numpy()
+
+    x.from_numpy(np.linspace(0.1, 1.3, n, dtype=np.float32))
+    return run, loss
+
+
+def test_a_block_with_shadows():
+    ti.init(arch=ti.cpu, default_fp=ti.f32, strict=True, deterministic=True)
+    run, loss = chain()
+    plain = run()
+    with pytest.raises(TaiRuntimeError, match="with ti.tools.shadows"):
+        ti.tools.shadow_report()
+    with ti.tools.shadows():
+        shadowed = run()
+        exact = np.sum(np.sin(np.linspace(0.1, 1.3, 64)) ** 2)
+        assert abs(shadowed[0] / exact - 1) > 1e-5
+        assert abs(ti.tools.shadow_values(loss) / exact - 1) < 1e-6
+    report = ti.tools.shadow_report()
+    assert {row.kernel.split(" ")[0] for row in report} >= {"near"} and report[0].lost
+    with pytest.raises(TaiRuntimeError, match="ask for the values within it"):
+        ti.tools.shadow_values(loss)
+    ti.tools.clear_shadow_report()
+    after = run()
+    assert ti.tools.shadow_report() == []
+    for found in (shadowed, after):
+        assert found[0] == plain[0] and found[1].tobytes() == plain[1].tobytes()
+
+
+@pytest.mark.parametrize("every, runs, expected", [(1, 3, 3), (4, 9, 3), (100, 7, 1)])
+def test_each_so_many_runs_of_a_block_has_shadows(every, runs, expected):
+    ti.init(arch=ti.cpu, default_fp=ti.f32)
+    run, _ = chain()
+    with ti.tools.shadows():
+        run()
+    (once,) = [row.lost for row in ti.tools.shadow_report() if row.lost][:1]
+    ti.tools.clear_shadow_report()
+    sample = ti.tools.shadows(every=every)
+    for _ in range(runs):
+        with sample:
+            run()
+    assert [row.lost for row in ti.tools.shadow_report() if row.lost][:1] == [expected * once]
+
+
+def test_a_block_within_a_program_with_shadows():
+    init()
+    run, _ = chain()
+    with ti.tools.shadows(every=2):
+        pass
+    run()
+    assert any(row.lost for row in ti.tools.shadow_report())
+
+
+def test_a_block_that_cannot_have_shadows():
+    ti.init(arch=ti.cpu, fast_math=True)
+    with pytest.raises(TaiError, match="contradict"), ti.tools.shadows():
+        pass
+    for every in (0, -1, True, 1.5):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="every is a number of runs"):
+            ti.tools.shadows(every=every)
+    with pytest.raises(TaiRuntimeError, match="kernels have no shadows"):
+        ti.tools.shadow_report()

@@ -10,7 +10,6 @@ import math
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 import numpy as np
@@ -26,19 +25,31 @@ from ..base import dtypes, state
 from ..base.callers import calling_frame, calling_level
 from ..base.keywords import check_keywords
 from ..base.program import get_program, sync
+from .choices import (
+    LEAST_BYTES,
+    MARGIN_OF_DRAW,
+    MARGIN_OF_F64,
+    NARROW,
+    OF_F64,
+    OF_FAST,
+    SAFETY,
+    Choice,
+    apart,
+    bytes_in,
+    others_of,
+    rounding_of,
+)  # fmt: skip
 from .compare import as_fields
-from .precision import PrecisionReport, bytes_of, find_not_finite, owner_of
+from .precision import PrecisionReport, find_not_finite, owner_of
 from .retype import Version, can_change
 from .seeds import number_of, require_grad
 from .snapshot import Snapshot
-from .solution import Part, Solution, lines_of, options_of, place_of, worst_of
+from .solution import Part, Solution, options_of, place_of, worst_of
 from .tape import Tape
 from .tuning import Types, distance, is_named, made_by, parts_among, unknowns_of
 
 # The most iterations (a run of the program and its sweep) that the choice of types may cost.
 MOST_ITERATIONS = 20
-# First-order estimates of an error, and errors of repeated runs, are within this factor as a rule.
-_SAFETY = 2.0
 # Modes whose time is within this factor of the fastest are timed again. The second number:
 # iterations that are reserved for checks of the choice.
 _NEAR, _LAST_CHECKS = 1.5, 5
@@ -46,11 +57,6 @@ _NEAR, _LAST_CHECKS = 1.5, 5
 _DOUBT = 1.15
 # A mode that takes at most this many times as long is preferred if its fields take fewer bytes.
 _TIE = 1.05
-# No type is wider than f64, so the error of an f64 run is only estimated, and the estimate is of
-# the loss: the error of the gradient may be greater by this factor.
-_MARGIN_OF_F64 = 8.0
-# The size of f64 roundings relative to f32 roundings, and the same for fast elementary functions.
-_OF_F64, _OF_FAST = 2.0**-29, 4.0
 # The share of the allowed error that each cause of error may have.
 _SHARE = {"discretisation": 0.5, "solver": 0.2, "only solver": 0.6}
 # The greatest solver tolerance that is tried.
@@ -59,30 +65,17 @@ _LOOSEST = 0.3
 _MOST_REFINED = 256
 # The factor by which the tolerances of solvers are multiplied in a run that measures their effect.
 _TIGHTENED = 1e-3
-# The least bytes of a field that gains from a narrower type.
-_LEAST_BYTES = 4096
+# A result names the reason if its error is below this share of the one that was asked for.
+_LEAST_SHARE = 0.05
+# Fewer steps are tried if the discretisation error is below this part of its share, unless more
+# runs than the second number have been made.
+_FILLED, _RUNS_TO_SHRINK = 0.4, 12
 # An estimate of the rounding error that is greater says nothing about the size of the error.
 _HOPELESS = 0.1
 
 
 class _TooManyRuns(TaiAutodiffError):
     """Raised when the budget of iterations is spent."""
-
-
-@dataclass
-class _Choice:
-    """Types of fields and modes: one of the candidate ways to run the program."""
-
-    name: str
-    modes: dict[str, Any]
-    base: Any
-    estimate: float
-    narrow: dict[str, str] = field(default_factory=dict)
-    version: Any = None
-    seconds: float = math.inf
-    result: tuple[float, np.ndarray] = (math.nan, np.zeros(0))
-    errors: tuple[float, float] = (math.inf, math.inf)
-    bytes: int = 0
 
 
 def solve_to(
@@ -163,6 +156,7 @@ class _Search:
         self._unknowns: list[Any] = []
         self._iterations = 0
         self._tried: list[str] = []
+        self._others: list[str] = []
         self._generator = np.random.default_rng(5)
 
     # Runs
@@ -227,7 +221,7 @@ class _Search:
                 self._name_solves(parts, report)
             room = self._error - sum(part.error for part in parts)
             chosen = self._choose(reference, base, report, room)
-            parts.append(_rounding(chosen, report))
+            parts.append(rounding_of(chosen, report))
             return self._finish(chosen, base, parts)
         finally:
             self._start.restore()
@@ -353,7 +347,7 @@ class _Search:
             return (above - below) / (2 * h)
 
         def is_right(found: float, h: float) -> bool:
-            noise = 4 * _OF_F64 * report.expected / h
+            noise = 4 * OF_F64 * report.expected / h
             return abs(found - slope) <= max(self._error / 2, 1e-4) * slope + noise
 
         h = 1e-5
@@ -445,8 +439,8 @@ class _Search:
             for m in (2 * n, 4 * n):
                 if m not in results:
                     results[m] = self._at_steps(reference, m)
-            coarse = _apart(results[n], results[2 * n], results[4 * n])
-            fine = _apart(results[2 * n], results[4 * n], results[4 * n])
+            coarse = apart(results[n], results[2 * n], results[4 * n])
+            fine = apart(results[2 * n], results[4 * n], results[4 * n])
             ratio = min(a / b if b else math.inf for a, b in zip(coarse, fine, strict=True))
             if max(fine) < 1e-13:
                 order, off = 1.0, 0.0
@@ -465,7 +459,7 @@ class _Search:
                 "jump",
                 "begin with more steps, or over a shorter time",
             )
-        wanted = max(1, math.ceil(n * (_SAFETY * off / room / 1.6) ** (1 / order)))
+        wanted = max(1, math.ceil(n * (SAFETY * off / room / 1.6) ** (1 / order)))
         for _ in range(3):
             if wanted > _MOST_REFINED * first:
                 _refuse(
@@ -477,15 +471,23 @@ class _Search:
             double = results[2 * wanted] = results.get(2 * wanted) or self._at_steps(
                 reference, 2 * wanted
             )
-            off = max(_apart(here, double, double)) / (1 - 2.0**-order)
+            off = max(apart(here, double, double)) / (1 - 2.0**-order)
             if off <= room:
                 break
             wanted = math.ceil(wanted * max((1.2 * off / room) ** (1 / order), 1.1))
         else:
             _refuse(f"error={self._error:.1e} is not reached by {wanted} steps ({off:.1e})",
                     "begin with more steps: the default of `steps`")  # fmt: skip
+        finest = 2 * wanted
+        # The order is that of few steps, and may have asked for more than it takes.
+        fewer = math.ceil(wanted * (1.5 * off / room) ** (1 / order))
+        if off <= _FILLED * room and fewer < wanted and self._iterations <= _RUNS_TO_SHRINK:
+            less = self._at_steps(reference, fewer)
+            more = max(apart(less, double, double)) + off
+            if more <= room:
+                wanted, off, here = fewer, more, less
         self._options["steps"] = wanted
-        how = f"steps={wanted} against {2 * wanted}, of order {order:.1f}"
+        how = f"steps={wanted} against {finest}, of order {order:.1f}"
         return Part("discretisation", off, [(f"{place_of(self._run)}: steps={wanted}", off)],
                     how), here  # fmt: skip
 
@@ -504,16 +506,16 @@ class _Search:
     def _estimate(self, reference: Version) -> PrecisionReport:
         """Estimates the effect of rounding on the loss, by one reverse sweep."""
         report = self._measure(reference, precision=True)[3]
-        off = _OF_F64 * report.relative
+        off = OF_F64 * report.relative
         if off > _HOPELESS:
             _refuse(
                 f"rounding changes the loss by {off:.1e} of it even in f64, as in chaos: most of "
-                f"it comes from {worst_of(report, _OF_F64)}",
+                f"it comes from {worst_of(report, OF_F64)}",
                 "differentiate over a shorter time",
             )
         return report
 
-    def _choices(self, report: PrecisionReport) -> list[_Choice]:
+    def _choices(self, report: PrecisionReport) -> list[Choice]:
         """Lists the candidate ways to run the program, the narrowest types first."""
         size = abs(report.loss)
         whole = report.expected / size
@@ -523,39 +525,39 @@ class _Search:
         bytes_now = {f.name: f.bytes for f in report.fields}
         narrow = {
             name: kind for name, kind in report.storable(self._error).items()
-            if kind in ("f16", "bf16") and bytes_now[name] >= _LEAST_BYTES
+            if kind in ("f16", "bf16") and bytes_now[name] >= LEAST_BYTES
         }  # fmt: skip
         errors = {f.name: f.errors for f in report.fields}
         choices = []
         if narrow:
             wide = math.hypot(whole, *(errors[n][k] / size for n, k in narrow.items()))
-            choices.append(_Choice("16-bit fields", self._modes("f32"), dtypes.f32, wide, narrow))
+            choices.append(Choice(NARROW, self._modes("f32"), dtypes.f32, wide, narrow))
         f32, f64, more = self._modes("f32"), self._modes("f64"), {"sums": "compensated"}
         if "math" in f32:
             fast = {**f32, "math": "fast"}
-            choices.append(_Choice("f32, fast", fast, dtypes.f32, _OF_FAST * whole))
+            choices.append(Choice("f32, fast", fast, dtypes.f32, OF_FAST * whole))
         choices += [
-            _Choice("f32", f32, dtypes.f32, whole),
-            _Choice("f32, compensated sums", {**f32, **more}, dtypes.f32, without),
-            _Choice("f64", f64, dtypes.f64, _OF_F64 * whole),
-            _Choice("f64, compensated sums", {**f64, **more}, dtypes.f64, _OF_F64 * without),
+            Choice("f32", f32, dtypes.f32, whole),
+            Choice("f32, compensated sums", {**f32, **more}, dtypes.f32, without),
+            Choice("f64", f64, dtypes.f64, OF_F64 * whole),
+            Choice("f64, compensated sums", {**f64, **more}, dtypes.f64, OF_F64 * without),
         ]
         return choices
 
     def _choose(
         self, reference: Version, base: Any, report: PrecisionReport, room: float
-    ) -> _Choice:
+    ) -> Choice:
         """The fastest modes whose estimated and measured errors are at most `room`."""
         choices = self._choices(report)
-        hopeful = [choice for choice in choices if _SAFETY * choice.estimate <= room]
+        hopeful = [choice for choice in choices if SAFETY * choice.estimate <= room]
         if not hopeful:
             best = min(choices, key=lambda choice: choice.estimate)
             _refuse(
                 f"error={self._error:.1e} cannot be kept: {best.name} is expected to be off by "
-                f"{best.estimate:.1e}, most of it from {worst_of(report, _OF_F64)}",
-                f"error={1.5 * _MARGIN_OF_F64 * best.estimate:.1e} can be had",
+                f"{best.estimate:.1e}, most of it from {worst_of(report, OF_F64)}",
+                f"error={1.5 * MARGIN_OF_F64 * best.estimate:.1e} can be had",
             )
-        passed: list[_Choice] = []
+        passed: list[Choice] = []
         for choice in hopeful:
             if passed and choice.base is dtypes.f64:
                 break
@@ -565,6 +567,8 @@ class _Search:
             # The remaining iterations are reserved for the check of the choice and for the f64 run.
             if self._iterations > MOST_ITERATIONS - 6 and choice.base is not dtypes.f64:
                 continue
+            if choice.base is dtypes.f64:
+                self._scale_from_f32(choices, base)
             if self._try(choice, reference, base, room):
                 passed.append(choice)
                 if choice.base is dtypes.f64:
@@ -577,6 +581,7 @@ class _Search:
             best = min(near, key=lambda choice: (choice.bytes, len(choice.name), choice.seconds))
             trouble = self._find_trouble(reference, base, best, room)
             if trouble is None:
+                self._others = others_of(best, choices, room)
                 return best
             passed = [choice for choice in passed if choice.base is not best.base]
             if best.base is dtypes.f64:
@@ -584,6 +589,8 @@ class _Search:
             self._tried.append(f"{best.name}: {trouble[0]}")
             if not passed:
                 wide = next((c for c in hopeful if c.base is dtypes.f64), None)
+                if wide is not None:
+                    self._scale_from_f32(choices, base)
                 if wide is not None and self._try(wide, reference, base, room):
                     passed = [wide]
         _refuse(
@@ -591,7 +598,25 @@ class _Search:
             "ask for a greater error",
         )
 
-    def _time_again(self, passed: list[_Choice]) -> None:
+    def _scale_from_f32(self, choices: list[Choice], base: Any) -> None:
+        """Raises the estimates of f64 to what the measured error of f32 says of the gradient."""
+        plain = next(choice for choice in choices if choice.name == "f32")
+        if not math.isfinite(max(plain.errors)):
+            version = self._version(plain.modes, self._types(plain.base, {}))
+            try:
+                plain.errors = distance(self._measure(version)[:2], base)
+            except _TooManyRuns:
+                raise
+            except TaiError:
+                return
+        measured = max(plain.errors)
+        if math.isfinite(measured):
+            for choice in choices:
+                if choice.base is dtypes.f64:
+                    least = OF_F64 * measured * MARGIN_OF_DRAW / MARGIN_OF_F64
+                    choice.estimate = max(choice.estimate, least)
+
+    def _time_again(self, passed: list[Choice]) -> None:
         """Times the fastest modes again, in turns, since a single time is a matter of chance."""
         while len(passed) > 1 and self._iterations < MOST_ITERATIONS - _LAST_CHECKS:
             fastest = min(choice.seconds for choice in passed)
@@ -603,7 +628,7 @@ class _Search:
                     self._measure(choice.version)
                     choice.seconds = choice.version.seconds
 
-    def _try(self, choice: _Choice, reference: Version, base: Any, room: float) -> bool:
+    def _try(self, choice: Choice, reference: Version, base: Any, room: float) -> bool:
         """Runs the program with a choice of types, and measures its error and time."""
         for _ in range(1 + len(choice.narrow)):
             same = choice.base is dtypes.f64 and choice.modes == reference.modes
@@ -618,14 +643,14 @@ class _Search:
                 self._tried.append(f"{choice.name}: {error.message}")
                 return False
             choice.errors = distance((loss, gradient), base)
-            choice.bytes = _bytes(self._places, choice)
+            choice.bytes = bytes_in(self._places, choice)
             self._tried.append(
                 f"{choice.name}: {max(choice.errors):.1e} measured, {choice.estimate:.1e} expected"
             )
             # No type is wider than f64, so the error of an f64 run is the estimated one.
             is_widest = choice.base is dtypes.f64
             off = 1.25 * max(choice.errors)
-            if max(off, _MARGIN_OF_F64 * choice.estimate if is_widest else 0.0) <= room:
+            if max(off, MARGIN_OF_F64 * choice.estimate if is_widest else 0.0) <= room:
                 # The first run is not timed, because it has compiled the kernels.
                 if not same:
                     loss, gradient, seconds, _ = self._measure(choice.version)
@@ -642,7 +667,7 @@ class _Search:
         return False
 
     def _find_trouble(
-        self, reference: Version, base: Any, choice: _Choice, room: float
+        self, reference: Version, base: Any, choice: Choice, room: float
     ) -> tuple[str, str] | None:
         """Finds out whether inputs that differ in their last bit give another gradient."""
         unit = 2.0 ** (-52 if choice.base is dtypes.f64 else -23)
@@ -680,7 +705,7 @@ class _Search:
 
     # Results
 
-    def _finish(self, chosen: _Choice, base: Any, parts: list[Part]) -> Solution:
+    def _finish(self, chosen: Choice, base: Any, parts: list[Part]) -> Solution:
         total = sum(part.error for part in parts)
         assert total <= self._error
         loss, gradient = self._values = chosen.result
@@ -700,8 +725,15 @@ class _Search:
         return Solution(
             modes, total, parts, chosen.seconds, self._error, loss, self._by_field(gradient),
             self._iterations, self._reference_time, self._tried, self._notes(),
-            lambda: self._again(chosen.version),
+            self._room(chosen, total), lambda: self._again(chosen.version),
         )  # fmt: skip
+
+    def _room(self, chosen: Choice, total: float) -> str:
+        """Names the reason why the error is far below the one that was asked for."""
+        if total >= _LEAST_SHARE * self._error:
+            return ""
+        text = f"{chosen.name} already gives {total:.1e}, and no cheaper mode keeps the error"
+        return f"{text}: {'; '.join(self._others)}" if self._others else text
 
     def _notes(self) -> list[str]:
         """Lists the fields whose type cannot hold as many digits as were asked for."""
@@ -737,7 +769,7 @@ class _Search:
             found.append(parts[0] if len(parts) == 1 else np.stack(parts, -1).reshape(shape))
         return found
 
-    def _leave_results(self, chosen: _Choice) -> None:
+    def _leave_results(self, chosen: Choice) -> None:
         values = getattr(self, "_values", None)
         if values is None:
             return
@@ -756,39 +788,6 @@ def _scale_of(array: np.ndarray) -> np.ndarray:
     """The magnitude of each element, but at least the average magnitude of all elements."""
     size = np.abs(array.astype(float))
     return np.maximum(size, float(np.mean(size)) or 1.0)
-
-
-def _apart(a: Any, b: Any, scale: Any) -> tuple[float, float]:
-    """Returns the distance of two results, relative to the size of a third one."""
-    if a[1].shape != b[1].shape:
-        raise TaiRuntimeTypeError("the gradient must have the same shape for all numbers of steps")
-    size = float(np.linalg.norm(scale[1]))
-    return abs(a[0] - b[0]) / abs(scale[0]), float(np.linalg.norm(a[1] - b[1])) / size
-
-
-def _rounding(chosen: _Choice, report: PrecisionReport) -> Part:
-    if chosen.base is dtypes.f64:
-        lines = lines_of(report, _OF_F64)
-        return Part("rounding", max(_MARGIN_OF_F64 * chosen.estimate, *chosen.errors), lines,
-                    f"{chosen.name}, eight times the estimate of one sweep")  # fmt: skip
-    lines = lines_of(report, 1.0)
-    size = abs(report.loss)
-    lines += [
-        (f"the storage of '{f.name}' in {chosen.narrow[f.name]}",
-         f.errors[chosen.narrow[f.name]] / size)
-        for f in report.fields if f.name in chosen.narrow
-    ]  # fmt: skip
-    return Part("rounding", max(chosen.errors), sorted(lines, key=lambda entry: -entry[1]),
-                f"{chosen.name}, measured against f64 "
-                f"({chosen.estimate:.1e} of the loss was expected)")  # fmt: skip
-
-
-def _bytes(places: list[Any], choice: _Choice) -> int:
-    return sum(
-        math.prod(f.shape + f.element_shape)
-        * bytes_of(choice.narrow.get(str(owner_of(f).name)) or choice.base.name)
-        for f in places
-    )
 
 
 def _refuse(message: str, hint: str) -> NoReturn:

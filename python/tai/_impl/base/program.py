@@ -51,6 +51,8 @@ class Program:
         self.pools: list[Any] = []
         # The probes by which a precision report measures roundings; see `ad.rounding`.
         self.probes: Any = None
+        # Whether some of its kernels have had shadows.
+        self.has_shadows = options.shadow
         self.count_kernels_from_here()
         # The numbers of lists that sparse levels had made and reused at the last `clear_skips`.
         self.lists_before: dict[Any, tuple[int, int]] = {}

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import TaiRuntimeError, shorten, source_line, spelled
-from . import state
 from .program import get_program
 
 
@@ -106,15 +105,20 @@ def _place(text: str) -> tuple[str | None, int, int]:
 
 def context() -> Any:
     """Returns the context of the program, which must have shadow values."""
-    if not state.options.shadow:
+    program = get_program()
+    if not program.has_shadows:
         raise TaiRuntimeError(
-            "kernels have no shadows", "ask for them in front of the program: ti.init(shadow=True)"
+            "kernels have no shadows",
+            "ask for them in front of the program, ti.init(shadow=True), or for a part of it, "
+            "with ti.tools.shadows():",
         )
-    return get_program().context
+    return program.context
 
 
 def shadow_report() -> ShadowReport:
     """Reports the lines that lost digits since `ti.init(shadow=True)` or `clear_shadow_report`.
+
+    In a program without that option, in blocks of `ti.tools.shadows`.
 
     See docs/guides/shadow.md.
     """

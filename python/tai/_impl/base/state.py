@@ -27,6 +27,7 @@ forward: bool
 fp: Any
 rounding: Any
 version: Any
+shadows: bool
 thread: object
 
 
@@ -39,6 +40,7 @@ class _OfThread(threading.local):
     fp: Any = None
     rounding: Any = None
     version: Any = None
+    shadows: bool = False
 
     def __init__(self) -> None:
         # An object that identifies the thread: no other thread has it, now or later.
@@ -79,6 +81,11 @@ class _State(types.ModuleType):
     def version(self) -> Any:
         """The types and modes that kernels are compiled for in the place of their own, or None."""
         return of_thread.version
+
+    @property
+    def shadows(self) -> bool:
+        """Whether kernels are compiled with shadows, although the program's have none."""
+        return of_thread.shadows
 
     @property
     def thread(self) -> object:

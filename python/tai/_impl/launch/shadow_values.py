@@ -1,4 +1,4 @@
-"""Values with the digits of their shadows: `ti.tools.shadow_values`."""
+"""Shadows for a part of a program, and values with their digits: `ti.tools.shadow_values`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiRuntimeTypeError
+from ...errors import TaiRuntimeError, TaiRuntimeTypeError
+from ..base import native, state
+from ..base.locks import snapshot
+from ..base.program import get_program
 from ..base.shadows import context
 from ..values.ops import grouped
 from ..values.types import ndarray, template
@@ -24,6 +27,68 @@ def _copier() -> Any:
     return copy
 
 
+class Shadows(native.WithBlock):
+    """A block, or each so many of its runs, whose kernels have shadows: see `shadows`."""
+
+    def __init__(self, every: int):
+        self._every, self._runs = every, 0
+        self._is_on = False
+
+    def _enter(self) -> Shadows:
+        program = get_program()
+        is_due = self._runs % self._every == 0
+        self._runs += 1
+        if is_due and not program.options.shadow and not state.shadows:
+            program.context.set_option("shadow", "true")
+            self._is_on = program.has_shadows = True
+            state.of_thread.shadows = True
+            _forget_launches(program)
+        return self
+
+    def _end(self) -> None:
+        if not self._is_on:
+            return
+        self._is_on = False
+        state.of_thread.shadows = False
+        program = get_program()
+        program.context.set_option("shadow", "false")
+        _forget_launches(program)
+
+
+def _forget_launches(program: Any) -> None:
+    """Lets Python look again which code a launch needs."""
+    for one in snapshot(program.kernels):
+        one.forget_launches()
+
+
+def shadows(every: int = 1) -> Shadows:
+    """Kernels that are launched in the block compute each float once more, with more digits.
+
+    ```python
+    sample = ti.tools.shadows(every=100)
+    for _ in range(1000):
+        with sample:
+            with ti.ad.Tape(loss):
+                simulate()
+    print(ti.tools.shadow_report())
+    ```
+
+    One of `every` runs of the block has shadows, the first among them; the others run the code of
+    the program at its speed. Shadows begin at the values that fields have at the start of a block.
+    In a program with `ti.init(shadow=True)` all kernels have shadows anyway. Other threads should
+    launch nothing meanwhile.
+
+    Args:
+        every: the number of runs of which one has shadows.
+
+    Raises:
+        TaiRuntimeError: the program has fast maths, or does not run on the CPU.
+    """
+    if isinstance(every, bool) or not isinstance(every, int) or every < 1:
+        raise TaiRuntimeTypeError(f"every is a number of runs, at least 1, but got {every!r}")
+    return Shadows(every)
+
+
 def shadow_values(field: Any) -> np.ndarray:
     """The values of a dense field with the digits of its shadows.
 
@@ -31,10 +96,15 @@ def shadow_values(field: Any) -> np.ndarray:
     a kernel did not store last has the digits of its own type.
 
     Raises:
-        TaiRuntimeError: the context has no shadows.
+        TaiRuntimeError: kernels have no shadows now.
         TaiRuntimeTypeError: the field is not of f32 or f64.
     """
-    shadows = context()
+    found = context()
+    if not (state.options.shadow or state.shadows):
+        raise TaiRuntimeError(
+            "shadows last as long as the block of ti.tools.shadows",
+            "ask for the values within it",
+        )
     plain = field.to_numpy()
     if plain.dtype not in (np.float32, np.float64):
         raise TaiRuntimeTypeError(
@@ -48,6 +118,6 @@ def shadow_values(field: Any) -> np.ndarray:
         copied = np.zeros(field.shape, plain.dtype)
         _copier()(own, copied)
         errors = np.zeros(field.shape)
-        shadows.shadow_errors(copied, errors)
+        found.shadow_errors(copied, errors)
         wide[(..., *part)] += errors
     return wide

@@ -142,6 +142,8 @@ class Specializations:
             key.append("rounding")
         if state.version is not None:
             key.extend(state.version.key)
+        if state.shadows:
+            key.append("shadows")
         variants = self._variants.setdefault(tuple(key), [])
         found = next((one for one in reversed(variants) if one.fits(specs)), None)
         if found is None:
