@@ -4,10 +4,12 @@ A guard keeps an infinite partial derivative away from a zero adjoint: see
 docs/reference/derivatives.md.
 The compiler was not tuned on these programs: shallow water with ghost cells
 behind branches, a lattice Boltzmann flow, elastic triangles, rays through a haze, smoothed
-particles, cloth with bending, bodies that attract each other, microfacets under lamps.
+particles, cloth with bending, bodies that attract each other, microfacets under lamps, vortices
+with two kinds of cores.
 
     python benchmarks/micro/guards.py                 # all programs, f64 and one thread
     python benchmarks/micro/guards.py lbm --dtype f32
+    python benchmarks/micro/guards.py --code          # instructions of adjoints: no times
 
 One process per measurement, in turns; each prints the least of its sweeps. The ratio is that
 of the medians. With --check the exit code says whether all ratios are within the bar, 1.02.
@@ -17,10 +19,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import statistics
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import tai as ti
@@ -481,6 +485,43 @@ def brdf(real):
     return run, loss, normal
 
 
+def vortices(real, has_gaussian_cores=False):
+    """Vortices that carry each other along; a quotient has a positive denominator, or none."""
+    n = 200
+    x = trajectory(real, 2, n)
+    strength = ti.field(real, shape=n, needs_grad=True)
+    loss = scalar(real)
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i in range(n):
+            u = ti.Vector([0.0, 0.0])
+            for j in range(n):
+                if i != j:
+                    d = x[t, i] - x[t, j]
+                    around = strength[j] * ti.Vector([-d[1], d[0]])
+                    if ti.static(has_gaussian_cores):
+                        u += around * (1.0 - ti.exp(-50.0 * d.norm_sqr())) / d.norm_sqr()
+                    else:
+                        u += around / (d.norm_sqr() + 1e-3)
+            x[t + 1, i] = x[t, i] + 1e-3 * u
+
+    @ti.kernel
+    def measure():
+        for i in range(n):
+            loss[None] += x[STEPS, i].norm_sqr() / n
+
+    rng = np.random.default_rng(5)
+    start_with(x, rng.normal(size=(n, 2)))
+    strength.from_numpy(rng.uniform(-1, 1, n))
+
+    return steps_of(step, measure), loss, x
+
+
+def vortex_blobs(real):
+    return vortices(real, has_gaussian_cores=True)
+
+
 PROGRAMS = {
     "shallow_water": shallow_water,
     "lbm": lbm,
@@ -490,6 +531,8 @@ PROGRAMS = {
     "cloth": cloth,
     "nbody": nbody,
     "brdf": brdf,
+    "vortices": vortices,
+    "vortex_blobs": vortex_blobs,
 }
 
 
@@ -512,6 +555,34 @@ def measure_here(name: str, dtype: str, guards: bool, rounds: int) -> dict:
     }
 
 
+def count_instructions(name: str, dtype: str, guards: bool) -> tuple[int, int]:
+    """Instructions and divisions in the machine code of all adjoints of a program."""
+    code = (
+        "import sys, guards, tai as ti\n"
+        "name, dtype, on = sys.argv[1:]\n"
+        "ti.init(default_fp=getattr(ti, dtype), ad_guards=on == 'True', offline_cache=False,\n"
+        "        cpu_max_num_threads=1, print_ir='asm')\n"
+        "run, loss, _ = guards.PROGRAMS[name](getattr(ti, dtype))\n"
+        "with ti.ad.Tape(loss): run()\n"
+    )
+    command = [sys.executable, "-c", code, name, dtype, str(guards)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, cwd=Path(__file__).parent
+    )
+    parts = re.split(r"// -----// (.*) //----- //\n", done.stdout + done.stderr)
+    adjoints = [text for title, text in zip(parts[1::2], parts[2::2], strict=True)
+                if "the adjoint of" in title]  # fmt: skip
+    lines = [line for text in adjoints for line in text.splitlines() if re.match(r"\t[a-z]", line)]
+    return len(lines), sum("div" in line.split("\t")[1] for line in lines)
+
+
+def compare_code(names: list[str], dtype: str) -> None:
+    print(f"{'program':<16}{'guarded':>12}{'bare':>12}{'divisions':>14}")
+    for name in names:
+        on, off = (count_instructions(name, dtype, guards) for guards in (True, False))
+        print(f"{name:<16}{on[0]:>12}{off[0]:>12}{f'{on[1]}, {off[1]}':>14}", flush=True)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -521,6 +592,7 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=3, help="of each kind (3)")
     parser.add_argument("--rounds", type=int, default=10, help="sweeps in a process (10)")
     parser.add_argument("--check", action="store_true", help=f"fail above {BAR} times")
+    parser.add_argument("--code", action="store_true", help="count instructions of adjoints")
     parser.add_argument("--one", choices=("on", "off"), help=argparse.SUPPRESS)
     args = parser.parse_args()
     names = args.programs or list(PROGRAMS)
@@ -528,6 +600,9 @@ def main() -> int:
         parser.error(f"no program {unknown[0]!r}; there are {', '.join(PROGRAMS)}")
     if args.one:
         print(json.dumps(measure_here(names[0], args.dtype, args.one == "on", args.rounds)))
+        return 0
+    if args.code:
+        compare_code(names, args.dtype)
         return 0
     missed = 0
     print(f"{'program':<16}{'guarded ms':>12}{'bare ms':>12}{'ratio':>8}  gradient norms")
