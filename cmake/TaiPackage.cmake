@@ -10,12 +10,12 @@ include(CMakePackageConfigHelpers)
 set(TAI_CMAKE_DIR "${CMAKE_INSTALL_LIBDIR}/cmake/tai")
 set(TAI_SOVERSION "${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR}")
 
-install(FILES include/tai-c/Tai.h include/tai-c/Sizes.h
+install(FILES include/tai-c/Tai.h include/tai-c/Sizes.h include/tai-c/Mesh.h
   "${PROJECT_BINARY_DIR}/include/tai-c/Version.h" DESTINATION include/tai-c COMPONENT headers)
 if(TAI_PORTABLE)
   # The ABI of compiled kernels, and the part of MLIR's C API that libtai exports
   # (TAI_UPSTREAM_CAPI).
-  install(FILES include/tai/ABI/Abi.h include/tai/ABI/Abi.def DESTINATION include/tai/ABI
+  install(FILES include/tai/ABI/Abi.h include/tai/ABI/Abi.def include/tai/ABI/MeshAbi.h DESTINATION include/tai/ABI
     COMPONENT headers)
   foreach(part AffineExpr AffineMap BuiltinAttributes BuiltinTypes Diagnostics IR IntegerSet
           Pass Support)

@@ -128,7 +128,7 @@ def main() -> int:
     parser.add_argument("--update", action="store_true", help="write new lines into the list")
     args = parser.parse_args()
     includes = [ROOT / "include", args.build / "include", LLVM_BIN.parent / "include"]
-    text = '#include "tai-c/Tai.h"\n'
+    text = '#include "tai-c/Tai.h"\n#include "tai-c/Mesh.h"\n'
     now = declarations(text, includes, "tai") | layouts(text, includes)
     lines = (f'#include "mlir-c/{part}.h"\n' for part in UPSTREAM)
     upstream = declarations("".join(lines), includes, "mlir")

@@ -68,6 +68,7 @@ DIALECT_ARROWS: dict[str, str] = {
     "Tai": "",
     "TaiRT": "Tai",
     "Check": "Tai",
+    "Mesh": "Tai",
 }
 
 # Classes whose methods stand in more sources than MOST_SOURCES, and in how many: to be cut

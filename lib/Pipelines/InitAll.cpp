@@ -21,16 +21,18 @@
 #include "tai/AD/Passes.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Check/IR/Check.h"
+#include "tai/Dialect/Mesh/IR/Mesh.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Interfaces/Differentiable.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Shards/Passes.h"
 #include "tai/Transforms/WidenArithmetic.h"
 
 using namespace mlir;
 
 void tai::registerAll(DialectRegistry &registry) {
-  registry.insert<TaiDialect, TaiRTDialect, arith::ArithDialect,
+  registry.insert<TaiDialect, TaiRTDialect, TaiMeshDialect, arith::ArithDialect,
                   cf::ControlFlowDialect, func::FuncDialect, gpu::GPUDialect,
                   LLVM::LLVMDialect, math::MathDialect, memref::MemRefDialect,
                   NVVM::NVVMDialect, scf::SCFDialect, ub::UBDialect,
@@ -43,6 +45,7 @@ void tai::registerAll(DialectRegistry &registry) {
 void tai::registerAllPasses() {
   registerTaiADPasses();
   registerTaiTransformsPasses();
+  registerTaiShardsPasses();
   registerTaiConversionPasses();
   registerIsolate();
   registerWidenArithmetic();

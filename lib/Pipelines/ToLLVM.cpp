@@ -12,6 +12,7 @@
 #include "tai/Conversion/Passes.h"
 #include "tai/Pipelines/Pipelines.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Shards/Passes.h"
 
 using namespace mlir;
 
@@ -20,6 +21,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   bool fast = options.optLevel > 0;
 
   addSourcePasses(pm, options, options.oneThread);
+  pm.addPass(createShard());
 
   addPerFunction(pm, [&](OpPassManager &function) {
     if (fast) {

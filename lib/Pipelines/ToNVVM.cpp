@@ -11,6 +11,7 @@
 #include "tai/Conversion/Passes.h"
 #include "tai/Pipelines/Pipelines.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Shards/Passes.h"
 
 using namespace mlir;
 
@@ -19,6 +20,9 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   bool fast = options.optLevel > 0;
 
   addSourcePasses(pm, options);
+  ShardOptions shards;
+  shards.onDevice = true;
+  pm.addPass(createShard(shards));
 
   addPerFunction(pm, [&](OpPassManager &function) {
     if (fast) {

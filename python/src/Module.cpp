@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Core.h"
+#include "Mesh.h"
 
 PYBIND11_MODULE(_core, module) {
   module.doc() = "binding of tai's C API; use the package `tai` instead";
@@ -19,4 +20,5 @@ PYBIND11_MODULE(_core, module) {
   taipy::bindOperatorCalls(module);
   taipy::bindInterop(module);
   taipy::bindXlaCalls(module);
+  taipy::bindMesh(module);
 }

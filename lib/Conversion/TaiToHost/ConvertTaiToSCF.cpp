@@ -49,7 +49,8 @@ static bool canFail(ArrayRef<LLVM::LLVMFuncOp> functions) {
       std::optional<StringRef> callee = call.getCallee();
       return callee &&
                      llvm::is_contained({"tai_rt_fail", "tai_rt_scratch",
-                                         "tai_rt_private", "tai_rt_stack_grow"},
+                                         "tai_rt_private", "tai_rt_stack_grow",
+                                         "tai_rt_rank", "tai_rt_exchange"},
                                         *callee)
                  ? WalkResult::interrupt()
                  : WalkResult::advance();

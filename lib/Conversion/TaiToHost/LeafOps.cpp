@@ -8,6 +8,8 @@
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/PatternMatch.h"
+#include "tai/ABI/MeshAbi.h"
+#include "tai/Dialect/Mesh/IR/Mesh.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/IndexMath.h"
@@ -24,7 +26,7 @@ struct LeafLowering {
         runtime(module.runtime) {}
 
   /// The address of a tree, loaded once at the top of the function.
-  Value getTree(TreeBaseOp op);
+  Value getTree(StringAttr tree, Location loc);
 
   LLVM::LLVMFuncOp function;
   Value frame;
@@ -182,17 +184,16 @@ struct LowerPrint final : LeafPattern<PrintOp> {
 // Trees and sparse levels
 //===----------------------------------------------------------------------===//
 
-Value LeafLowering::getTree(TreeBaseOp op) {
-  Value &base = bases[op.getTreeAttr().getAttr()];
+Value LeafLowering::getTree(StringAttr tree, Location loc) {
+  Value &base = bases[tree];
   if (!base) {
     auto builder = OpBuilder::atBlockBegin(&function.getBody().front());
-    Value trees = runtime.frameMember(builder, op.getLoc(), frame,
-                                      offsetof(TaiFrame, trees),
-                                      runtime.getPointerType());
-    int64_t index = module.treeIndex.lookup(op.getTreeAttr().getAttr());
-    base =
-        runtime.frameMember(builder, op.getLoc(), trees, index * sizeof(void *),
+    Value trees =
+        runtime.frameMember(builder, loc, frame, offsetof(TaiFrame, trees),
                             runtime.getPointerType());
+    int64_t index = module.treeIndex.lookup(tree);
+    base = runtime.frameMember(builder, loc, trees, index * sizeof(void *),
+                               runtime.getPointerType());
   }
   return base;
 }
@@ -265,7 +266,8 @@ struct LowerTreeBase final : LeafPattern<TreeBaseOp> {
 
   LogicalResult matchAndRewrite(TreeBaseOp op,
                                 PatternRewriter &rewriter) const override {
-    rewriter.replaceOp(op, leaf.getTree(op));
+    rewriter.replaceOp(op,
+                       leaf.getTree(op.getTreeAttr().getAttr(), op.getLoc()));
     return success();
   }
 };
@@ -281,6 +283,99 @@ template <typename Op> struct LowerCells final : LeafPattern<Op> {
     Value node = runtime.i32(rewriter, op.getLoc(), op.getNode());
     rewriter.replaceOp(op,
                        emitCall(rewriter, op, this->leaf.frame, node, runtime));
+    return success();
+  }
+};
+} // namespace
+
+//===----------------------------------------------------------------------===//
+// Ranks of a mesh
+//===----------------------------------------------------------------------===//
+
+/// The plan of an exchange: the numbers of a TaiExchangePlan with its digits.
+static SmallVector<int64_t> getPlan(ExchangeOp op, const FieldInfo &field) {
+  std::optional<Sharding> sharding = getSharding(field.layout);
+  int64_t element = field.scalarType.getIntOrFloatBitWidth();
+  if (field.scalarType.isBF16())
+    element = 17;
+  if (isa<FloatType>(field.scalarType))
+    element = -element;
+  bool isVector = field.numComponents != 1;
+  SmallVector<int64_t> plan{static_cast<int64_t>(op.getKind()),
+                            element,
+                            op.getDigestAttr() ? op.getDigestAttr().getInt()
+                                               : 0,
+                            sharding ? sharding->block : 0,
+                            int64_t(op.getBefore()),
+                            int64_t(op.getAfter()),
+                            int64_t(field.storage.offset),
+                            int64_t(field.storage.digits.size() + isVector)};
+  for (const IndexDigit &digit : field.storage.digits) {
+    int64_t role = TAI_DIGIT_FREE;
+    const auto *fixed = llvm::find(op.getDims(), digit.dimension);
+    if (fixed != op.getDims().end())
+      role = fixed - op.getDims().begin();
+    else if (sharding && sharding->dimension == digit.dimension)
+      role = TAI_DIGIT_ROW;
+    plan.append({role, digit.divisor, digit.extent, int64_t(digit.stride)});
+  }
+  if (isVector)
+    plan.append({TAI_DIGIT_FREE, 1, field.numComponents, field.scalarSize});
+  return plan;
+}
+
+namespace {
+struct LowerRank final : LeafPattern<RankOp> {
+  using LeafPattern::LeafPattern;
+
+  LogicalResult matchAndRewrite(RankOp op,
+                                PatternRewriter &rewriter) const override {
+    Location loc = op.getLoc();
+    RuntimeCalls &runtime = leaf.runtime;
+    Value rank =
+        runtime.call(rewriter, loc, "tai_rt_rank", rewriter.getI64Type(),
+                     {leaf.frame, runtime.i64(rewriter, loc, op.getRanks()),
+                      runtime.string(rewriter, loc, describePlace(loc))});
+    rewriter.replaceOp(op, IndexMath(rewriter, loc).toIndex(rank));
+    return success();
+  }
+};
+
+struct LowerExchange final : LeafPattern<ExchangeOp> {
+  using LeafPattern::LeafPattern;
+
+  LogicalResult matchAndRewrite(ExchangeOp op,
+                                PatternRewriter &rewriter) const override {
+    FailureOr<const FieldInfo *> found =
+        leaf.module.fields.lookup(op, op.getFieldAttr());
+    if (failed(found))
+      return failure();
+    const FieldInfo &field = **found;
+    Location loc = op.getLoc();
+    RuntimeCalls &runtime = leaf.runtime;
+    SmallVector<int64_t> plan = getPlan(op, field);
+    Value planned = emitStackSlots(rewriter, loc, plan.size());
+    for (auto [number, value] : llvm::enumerate(plan))
+      emitSlotStore(rewriter, loc, runtime.i64(rewriter, loc, value),
+                    emitSlot(rewriter, loc, planned, number));
+    Value at = op.getAt().empty()
+                   ? runtime.null(rewriter, loc)
+                   : emitStackSlots(rewriter, loc, op.getAt().size());
+    for (auto [number, index] : llvm::enumerate(op.getAt())) {
+      Value first =
+          runtime.i64(rewriter, loc, field.layout.offset[op.getDims()[number]]);
+      Value zeroBased = arith::SubIOp::create(
+          rewriter, loc, IndexMath(rewriter, loc).toI64(index), first);
+      emitSlotStore(rewriter, loc, zeroBased,
+                    emitSlot(rewriter, loc, at, number));
+    }
+    TreeOp declared = field.layout.tree;
+    Value tree = leaf.getTree(declared.getSymNameAttr(), loc);
+    runtime.call(rewriter, loc, "tai_rt_exchange", Type(),
+                 {leaf.frame, tree, planned, at,
+                  runtime.string(rewriter, loc, op.getField()),
+                  runtime.string(rewriter, loc, describePlace(loc))});
+    rewriter.eraseOp(op);
     return success();
   }
 };
@@ -306,11 +401,12 @@ LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
   hoistArrays(function);
   LeafLowering leaf(function, lowering);
   RewritePatternSet patterns(function.getContext());
-  patterns.add<LowerLocal, LowerStack, LowerDraw, LowerAssert, LowerPrint,
-               LowerTreeBase, LowerCells<ActiveCellsOp>,
-               LowerCells<ListIsCurrentOp>, LowerCells<ActivateCellOp>,
-               LowerCells<DeactivateCellOp>, LowerCells<AppendCellOp>>(
-      function.getContext(), leaf);
+  patterns
+      .add<LowerLocal, LowerStack, LowerDraw, LowerAssert, LowerPrint,
+           LowerTreeBase, LowerRank, LowerExchange, LowerCells<ActiveCellsOp>,
+           LowerCells<ListIsCurrentOp>, LowerCells<ActivateCellOp>,
+           LowerCells<DeactivateCellOp>, LowerCells<AppendCellOp>>(
+          function.getContext(), leaf);
   return lowerAll(function, std::move(patterns), [](Operation *op) {
     auto cast = dyn_cast<UnrealizedConversionCastOp>(op);
     return !cast || isDraw(cast);

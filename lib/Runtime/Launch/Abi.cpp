@@ -19,6 +19,7 @@
 #include "tai/ABI/SumModes.h"
 #include "tai/Runtime/Device/Device.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
+#include "tai/Runtime/Launch/Mesh.h"
 #include "tai/Runtime/Launch/ShadowLog.h"
 #include "tai/Runtime/Threads/FixedParts.h"
 #include "tai/Runtime/Threads/Safepoint.h"
@@ -282,6 +283,7 @@ static std::vector<RuntimeSymbol> getAbiSymbols() {
 std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
   std::vector<RuntimeSymbol> symbols = getAbiSymbols();
   appendLibraryCalls(symbols);
+  appendMeshCalls(symbols);
   for (auto [name, function] : vectorMathSymbols())
     symbols.push_back({name, function});
   return symbols;

@@ -310,7 +310,7 @@ void TreeLayout::addSteps(SNodeTypeInterface level, SparseNode &node) {
   // The stride of the last step must be the size of a cell, because zeroing a
   // cell relies on it.
   uint64_t size = level.getCellSize(dataLayout);
-  if (node.steps.back().stride != size)
+  if (node.steps.empty() || node.steps.back().stride != size)
     node.steps.push_back({1, size});
 }
 

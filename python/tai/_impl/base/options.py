@@ -107,6 +107,8 @@ _OWN = (
     Keyword("ftz", bool, False, "denormal numbers are zero, as operands and as results"),
     Keyword("adjoints", str, "default", "what gradients of fields are kept and summed in: 'f64'; "
             "by default the type of the field, and f32 for one of 16 bits"),
+    Keyword("mesh", Any, None, "the processes that share the fields below `ti.root.shard`, made by "
+            "`ti.mesh`; see docs/guides/many.md"),
     Keyword("check_out_of_bound", bool, False, "the same as bounds='check'"),
     Keyword("validation", bool, False, "each launch checks that no two iterations of a parallel "
             "loop read and write one element where the result depends on their order, which data "

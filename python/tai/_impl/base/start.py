@@ -7,7 +7,8 @@ import sys
 from typing import Any
 
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError, did_you_mean
-from . import dtypes, modes, state
+from . import dtypes, modes, native, state
+from .mesh import Mesh
 from .options import (
     ACCEPTED,
     CHOICES,
@@ -85,11 +86,28 @@ def init(
     if chosen["arch"] == cuda and may_fall_back and (why := why_no_cuda()):
         print(f"[tai] falling back to arch=cpu: {why}", file=sys.stderr)
         chosen["arch"] = cpu
+    mesh = chosen.get("mesh")
+    if mesh is not None:
+        _check_mesh(mesh, chosen["arch"])
+        mesh.connect()
     taken = Options(**chosen)
     program = Program(taken)
     # The fields are dropped only now, when nothing can be refused any more.
     reset()
+    if mesh is not None:
+        native.set_mesh(mesh.rank, mesh.ranks, mesh.exchange)
+    elif state.options.mesh is not None:
+        native.set_mesh(0, 0, None)
     state.options, state.program = taken, program
+
+
+def _check_mesh(mesh: Any, arch: Arch) -> None:
+    if not isinstance(mesh, Mesh):
+        raise TaiRuntimeTypeError(
+            f"mesh is made by ti.mesh, but got {mesh!r}", 'write mesh=ti.mesh("x", 4)'
+        )
+    if arch != cpu:
+        raise TaiRuntimeError(f"a mesh runs on the CPU, but arch is {arch}", "choose arch=ti.cpu")
 
 
 # The keywords of `ti.init` are those in the table of options.

@@ -149,6 +149,8 @@ class MatrixField(Field):
                 values = self._single.core.get_all(key)
             except (IndexError, TypeError, OverflowError) as error:
                 raise self._single._index_error(error, key) from None
+            if self._single._sharded is not None:
+                values = self._single.from_owner(key, values)
             if not self.dtype.is_float:
                 values = [self._single._to_python(v) for v in values]
         else:

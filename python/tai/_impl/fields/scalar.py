@@ -37,6 +37,8 @@ class ScalarField(Field):
         self.symbol: str | None = None
         self._core: Any = None
         self._tree_freed = False
+        # The mesh that shares the field, and the dimension whose rows it divides.
+        self._sharded: Any = None
 
     # Placement
 
@@ -113,6 +115,10 @@ class ScalarField(Field):
         """Declares the field in the C++ context."""
         self._core = program.context.add_field(self.declaration(tree))
         program.fields[self.symbol] = self
+        shard = self._placed_node().above_shard()
+        if shard is not None:
+            dimension = list(self._placed_node().axis_extents()).index(shard.shard_axis)
+            self._sharded = (program.options.mesh, dimension)
 
     def forget(self) -> None:
         """The tree is freed."""
@@ -182,6 +188,13 @@ class ScalarField(Field):
             return origins.note_number(self, value)
         return value
 
+    def from_owner(self, key: Any, values: Any) -> Any:
+        """The numbers of an element of a sharded field that its owner has."""
+        mesh, dimension = self._sharded
+        first = self.offset[dimension] if self.offset else 0
+        row = int(index_tuple(key)[dimension]) - first
+        return mesh.from_owner(row, self.shape[dimension], values)
+
     def __setitem__(self, key: Any, value: Any) -> None:
         self.set_component(key, 0, value)
 
@@ -190,6 +203,8 @@ class ScalarField(Field):
             value = self.core.get(index_tuple(key), component)
         except (IndexError, TypeError, OverflowError) as error:
             raise self._index_error(error, key) from None
+        if self._sharded is not None:
+            value = self.from_owner(key, value)
         return value if self.dtype.is_float else self._to_python(value)
 
     def set_component(self, key: Any, component: int, value: Any) -> None:
@@ -228,6 +243,9 @@ class ScalarField(Field):
         core = self.core
         array = np.empty(self.shape + self.element_shape, self.dtype.numpy)
         core.copy_to(array)
+        if self._sharded is not None:
+            mesh, dimension = self._sharded
+            mesh.gather_rows(array, dimension)
         wanted = None if dtype is None else dtypes.to_dtype(dtype)
         return array if wanted is None else pieces.row_major(array, wanted.numpy)
 

@@ -15,7 +15,7 @@ from ..base import fitting, state
 from ..base.keywords import check_keywords
 from ..base.program import Program, get_program
 from ..values.types import refuse_quant
-from . import offsets
+from . import offsets, shards
 
 if TYPE_CHECKING:
     from .field import Field
@@ -45,7 +45,7 @@ class SNode:
     """A level of the layout tree of fields.
 
     Attributes:
-        kind: `root`, `dense`, `pointer`, `bitmasked`, `hash` or `dynamic`.
+        kind: `root`, `dense`, `pointer`, `bitmasked`, `hash`, `dynamic` or `shard`.
         axes: the axes that it divides.
         extents: the number of cells along each of `axes`.
     """
@@ -60,6 +60,8 @@ class SNode:
     ):
         self.kind, self._parent = kind, parent
         self.axes, self.extents, self.chunk = tuple(axes), tuple(extents), chunk
+        # The axis that a shard divides among ranks, and their number.
+        self.shard_axis, self.ranks = -1, 0
         self.children: list[SNode | ScalarField] = []
 
     # Levels
@@ -94,6 +96,26 @@ class SNode:
                 "put a level for each other axis above it: ti.root.dense(ti.i, n).dynamic(ti.j, m)",
             )
         return self._add("dynamic", axis, dimension, chunk_size or 0)
+
+    def shard(self, axis: Axes) -> SNode:
+        """Divides what is below among the processes of the mesh, by rows along one axis.
+
+        Args:
+            axis: one axis, such as `ti.i`, which one level below divides.
+
+        Raises:
+            TaiRuntimeError: the program has no mesh.
+        """
+        self._check_open()
+        child = SNode("shard", self)
+        child.ranks = shards.check_shard(axis, self.path(), AXIS_NAMES)
+        child.shard_axis = axis[0]
+        self.children.append(child)
+        return child
+
+    def above_shard(self) -> SNode | None:
+        """This level or the one above it that is a shard."""
+        return next((level for level in self.path() if level.kind == "shard"), None)
 
     def quant_array(self, axes: Axes, dimensions: Any, max_num_bits: int) -> SNode:
         """Refuses levels with numbers of a few bits side by side, which are not built in."""
@@ -132,6 +154,7 @@ class SNode:
                 "make the extents smaller",
             )
         self._check_list_axes(kind, axes)
+        shards.check_below(self, kind, dict(zip(axes, extents, strict=True)), AXIS_NAMES)
         if kind == "dynamic":
             chunk = min(max(1, int(chunk) or extents[0] // 32), extents[0])
         child = SNode(kind, self, axes, extents, chunk)
@@ -220,7 +243,7 @@ class SNode:
 
     def nearest_sparse(self) -> SNode | None:
         """Returns this level or the innermost level above it whose cells can be inactive."""
-        return next((level for level in self.path()[::-1] if level.kind != "dense"), None)
+        return next((n for n in self.path()[::-1] if n.kind not in ("dense", "shard")), None)
 
     def axis_extents(self) -> dict[int, int]:
         """The number of cells along each axis divided so far, in the order of the axes."""
@@ -246,7 +269,7 @@ class SNode:
 
         On a dense level, it deactivates the sparse levels below.
         """
-        if self.kind not in ("root", "dense"):
+        if self.kind not in ("root", "dense", "shard"):
             if next(self.places(), None) is None:
                 return
             context, tree, number = self._sparse()
@@ -345,8 +368,8 @@ class SNode:
 
     def _sparse(self) -> tuple[Any, str, int]:
         """The context, the tree, and the number of this sparse level in it."""
-        if self.kind in ("root", "dense"):
-            above = next((n for n in reversed(self.path()) if n.kind != "dense"), None)
+        if self.kind in ("root", "dense", "shard"):
+            above = self.nearest_sparse()
             if above is not None:
                 raise TaiRuntimeError(
                     f"the cells of a dense level are active as those of the {above.kind} level "
@@ -376,7 +399,7 @@ class SNode:
         """The sparse levels below that hold fields, each before those below it."""
         for child in self.children:
             if isinstance(child, SNode) and next(child.places(), None) is not None:
-                if child.kind != "dense":
+                if child.kind not in ("dense", "shard"):
                     yield child
                 yield from child.sparse_levels()
 
@@ -402,6 +425,9 @@ class SNode:
         head = ", ".join(
             f"{AXIS_NAMES[a]}: {n}" for a, n in zip(self.axes, self.extents, strict=True)
         )
+        if self.kind == "shard":
+            head = f"{AXIS_NAMES[self.shard_axis]}: {self.ranks}"
+            return f"!tai_mesh.shard<[{head}], {', '.join(self._bodies()[role])}>"
         chunk = f", chunk {self.chunk}" if self.kind == "dynamic" else ""
         return f"{self.kind}<[{head}]{chunk}, {', '.join(self._bodies()[role])}>"
 
@@ -521,7 +547,7 @@ def _check_size(fields: list[Any]) -> None:
     """Refuses dense fields whose size in bytes does not fit a 64-bit number."""
     for field in fields:
         path = field.level.path()
-        if any(level.kind not in ("dense", "root") for level in path):
+        if any(level.kind not in ("dense", "root", "shard") for level in path):
             continue
         size = math.prod(n for level in path for n in level.extents)
         size *= math.prod(field.element_shape) * max(1, field.dtype.bits // 8)

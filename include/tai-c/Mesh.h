@@ -1,0 +1,50 @@
+/*===- Mesh.h - Processes that share fields -----------------------*- C -*-===*\
+|*                                                                            *|
+|* Licensed under the Apache License v2.0 with LLVM Exceptions.               *|
+|* SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception                    *|
+|*                                                                            *|
+|*===----------------------------------------------------------------------===*|
+|*                                                                            *|
+|* Makes the process a rank of a mesh, whose ranks run the same program, each *|
+|* on its rows of the sharded fields. libtai moves no bytes between           *|
+|* processes: the handler does.                                               *|
+|*                                                                            *|
+\*===----------------------------------------------------------------------===*/
+
+#ifndef TAI_C_MESH_H
+#define TAI_C_MESH_H
+
+#include "tai-c/Tai.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/// An exchange between the ranks, as the op `tai_mesh.exchange` describes it,
+/// of the numbers at `address`: an array of `num_dims` dimensions with these
+/// extents and strides in bytes. `element` is the type of a number: the bits of
+/// an integer, or minus the bits of a float; -17 stands for bf16. Dimension
+/// `rows`, if it is not negative, is divided among the ranks. `where` is the
+/// location of the access that needs the exchange, "file:line:col".
+typedef struct TaiExchange {
+  const char *kind, *field, *where;
+  int64_t element, digest, block, before, after;
+  void *address;
+  int64_t num_dims, rows;
+  const int64_t *extents, *strides;
+} TaiExchange;
+
+/// Carries out an exchange, on the thread of the launch. Returns null, or the
+/// message of a failure, valid until the next call.
+typedef const char *(*TaiExchangeHandler)(const TaiExchange *exchange);
+
+/// Makes the process rank `rank` of a mesh of `ranks` processes. A null handler
+/// takes it out of the mesh. Call while no kernel runs.
+TAI_EXPORT void taiSetMesh(int64_t rank, int64_t ranks,
+                           TaiExchangeHandler handler);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif /* TAI_C_MESH_H */

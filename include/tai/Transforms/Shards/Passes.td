@@ -1,0 +1,63 @@
+//===- Passes.td - Passes on sharded fields ----------------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_TRANSFORMS_SHARDS_PASSES_TD
+#define TAI_TRANSFORMS_SHARDS_PASSES_TD
+
+include "mlir/Pass/PassBase.td"
+
+def Shard : Pass<"tai-shard", "::mlir::ModuleOp"> {
+  let summary = "divide loops over sharded fields among ranks";
+  let description = [{
+    Each rank of a mesh runs the same kernel. In a parallel loop that accesses
+    fields below a `shard` level, this pass
+
+    - clips the bounds of the loop to the iterations of the rank: the owner of
+      the row that an iteration stores (else the row that it adds to, else the
+      first that it reads) runs the iteration;
+    - fetches, before the loop, the rows of other ranks that the loop reads;
+    - clears these rows before the loop where it adds to them, and adds them to
+      the rows of their owners after it;
+    - combines, after the loop, the additions, minima and maxima of all ranks to
+      a field that is not sharded.
+
+    Indices and addresses remain those of the whole field. Other loops, which
+    all ranks run alike, and programs without a `shard` level do not change. See
+    docs/decisions/0075-shards.md.
+
+    The index along the axis of a shard must be the index of the loop plus a
+    constant, or a value that the analysis of indices bounds relative to it, as
+    for `max(i - 1, 0)` and `i + k` in a loop over `k`. An error reports any
+    other access to a sharded field, and stores to fields of which each rank has
+    a copy.
+
+    With fields of 64 rows on 4 ranks,
+
+    ```mlir
+    tai.parallel_for (%i) = (%c1) to (%c64) {
+      %h = arith.subi %i, %c1 : index
+      %0 = tai.load @x[%h] : f32
+      tai.store %0, @y[%i] : f32
+    }
+    // becomes, with the bounds %a and %b that follow from the rank
+    %rank = tai_mesh.rank of 4
+    tai_mesh.exchange fetch @x before 1
+    tai.parallel_for (%i) = (%a) to (%b) {
+      // the same
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::tai::TaiMeshDialect",
+                           "::mlir::tai::TaiDialect"];
+  let options = [
+    Option<"onDevice", "on-device", "bool", /*default=*/"false",
+           "The kernels are for a GPU: report all accesses to sharded fields">,
+  ];
+}
+
+#endif // TAI_TRANSFORMS_SHARDS_PASSES_TD

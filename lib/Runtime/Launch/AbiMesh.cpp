@@ -1,0 +1,100 @@
+//===- AbiMesh.cpp - Exchanges between ranks ------------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Implements tai/ABI/MeshAbi.h.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Launch.h"
+#include "tai/ABI/MeshAbi.h"
+#include "tai/Runtime/Launch/Mesh.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+static Mesh ofProcess;
+
+void mlir::tai::runtime::setMesh(Mesh mesh) { ofProcess = std::move(mesh); }
+
+/// By ExchangeKind of the dialect.
+static constexpr const char *kKinds[] = {"fetch", "clear", "collect", "open",
+                                         "sum",   "min",   "max"};
+
+extern "C" int64_t tai_rt_rank(TaiFrame *frame, int64_t ranks,
+                               const char *where) {
+  Launch &launch = launchOf(frame);
+  const Mesh &mesh = ofProcess;
+  if (mesh.ranks == ranks)
+    return mesh.rank;
+  orFail(frame, [&] {
+    std::string message =
+        "the loop is over a field of " + std::to_string(ranks) + " ranks, and ";
+    message += mesh.ranks
+                   ? "the mesh of the process has " + std::to_string(mesh.ranks)
+                   : std::string("the process belongs to no mesh");
+    launch.fail(Status::failure(StatusCode::Usage, message, where));
+  });
+  return 0;
+}
+
+/// The elements of the exchange as an array. False if a fixed index is not in
+/// the field.
+static bool select(const TaiExchangePlan &plan, const int64_t *at, char *tree,
+                   Exchange &exchange) {
+  char *address = tree + plan.offset;
+  const auto *digits = reinterpret_cast<const TaiExchangeDigit *>(&plan + 1);
+  for (int64_t i = 0; i < plan.numDigits; ++i) {
+    const TaiExchangeDigit &digit = digits[i];
+    if (digit.role >= 0) {
+      int64_t index = at[digit.role];
+      // The outermost digit of a dimension tells its extent.
+      bool isOutermost =
+          std::none_of(digits, digits + i, [&](const TaiExchangeDigit &other) {
+            return other.role == digit.role;
+          });
+      if (index < 0 || (isOutermost && index >= digit.divisor * digit.extent))
+        return false;
+      address += index / digit.divisor % digit.extent * digit.stride;
+      continue;
+    }
+    if (digit.role == TAI_DIGIT_ROW)
+      exchange.rows = static_cast<int64_t>(exchange.extents.size());
+    exchange.extents.push_back(digit.extent);
+    exchange.strides.push_back(digit.stride);
+  }
+  exchange.address = address;
+  return true;
+}
+
+extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
+                                const TaiExchangePlan *plan, const int64_t *at,
+                                const char *field, const char *where) {
+  Launch &launch = launchOf(frame);
+  if (launch.hasFailed())
+    return;
+  orFail(frame, [&] {
+    Exchange exchange{kKinds[plan->kind], field,        where,
+                      plan->element,      plan->digest, plan->block,
+                      plan->before,       plan->after,  nullptr,
+                      /*rows=*/-1,        {},           {}};
+    if (!select(*plan, at, static_cast<char *>(tree), exchange))
+      return;
+    const Mesh &mesh = ofProcess;
+    std::string message = mesh.exchange
+                              ? mesh.exchange(exchange)
+                              : "the process belongs to no mesh, and the "
+                                "launch exchanges rows of a sharded field";
+    if (!message.empty())
+      launch.fail(Status::failure(StatusCode::Usage, message, where));
+  });
+}
+
+void mlir::tai::runtime::appendMeshCalls(std::vector<RuntimeSymbol> &symbols) {
+  symbols.push_back({"tai_rt_rank", reinterpret_cast<void *>(&tai_rt_rank)});
+  symbols.push_back(
+      {"tai_rt_exchange", reinterpret_cast<void *>(&tai_rt_exchange)});
+}

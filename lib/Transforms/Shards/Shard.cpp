@@ -1,0 +1,176 @@
+//===- Shard.cpp - Loops of one rank of a mesh ----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "ShardPlan.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/IR/BuiltinOps.h"
+#include "mlir/IR/IRMapping.h"
+#include "tai/Transforms/Shards/Passes.h"
+#include "llvm/Support/raw_ostream.h"
+#include "llvm/Support/xxhash.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_SHARD
+#include "tai/Transforms/Shards/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Computes in front of the loop a value that is the same in all iterations.
+static Value hoist(OpBuilder &builder, Value value, ParallelForOp loop,
+                   IRMapping &known) {
+  if (!loop->isAncestor(value.getParentRegion()->getParentOp()))
+    return value;
+  if (Value done = known.lookupOrNull(value))
+    return done;
+  Operation *op = value.getDefiningOp();
+  for (Value operand : op->getOperands())
+    known.map(operand, hoist(builder, operand, loop, known));
+  builder.clone(*op, known);
+  return known.lookup(value);
+}
+
+static void emitExchanges(OpBuilder &builder, ParallelForOp loop,
+                          ArrayRef<PlannedExchange> exchanges, OpBuilder &above,
+                          IRMapping &known) {
+  for (const PlannedExchange &planned : exchanges) {
+    SmallVector<Value> at;
+    for (Value value : planned.at.values)
+      at.push_back(hoist(above, value, loop, known));
+    ExchangeOp::create(
+        builder, planned.loc,
+        ExchangeKindAttr::get(builder.getContext(), planned.kind),
+        planned.field, builder.getI64IntegerAttr(planned.before),
+        builder.getI64IntegerAttr(planned.after), at,
+        builder.getDenseI64ArrayAttr(planned.at.dims), IntegerAttr());
+  }
+}
+
+/// Turns a loop over a field without sparse levels into one over its box of
+/// indices.
+static ParallelForOp toBox(OpBuilder &builder, ParallelForOp loop) {
+  if (!loop.isStructFor())
+    return loop;
+  Location loc = loop.getLoc();
+  FailureOr<FieldLayout> layout =
+      getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+  SmallVector<Value> lower, upper;
+  for (auto [first, extent] : llvm::zip(layout->offset, layout->shape)) {
+    lower.push_back(arith::ConstantIndexOp::create(builder, loc, first));
+    upper.push_back(
+        arith::ConstantIndexOp::create(builder, loc, first + extent));
+  }
+  auto box = ParallelForOp::create(builder, loc, lower, upper);
+  box.copyNotesFrom(loop);
+  box.getBody().takeBody(loop.getBody());
+  loop.erase();
+  return box;
+}
+
+/// Limits a loop to the iterations of this rank. The first rank also runs those
+/// in front of the field, the last rank those behind it, so that each iteration
+/// runs once even if it accesses no row.
+static void clip(OpBuilder &builder, ParallelForOp loop,
+                 const ShardPlan &plan) {
+  Location loc = loop.getLoc();
+  auto constant = [&](int64_t value) -> Value {
+    return arith::ConstantIndexOp::create(builder, loc, value);
+  };
+  Value rank = RankOp::create(builder, loc, builder.getIndexType(),
+                              builder.getI64IntegerAttr(plan.sharding.ranks));
+  Value block = constant(plan.sharding.block);
+  Value row = arith::MulIOp::create(builder, loc, rank, block);
+  Value first = arith::SubIOp::create(builder, loc, row, constant(plan.offset));
+  Value end = arith::AddIOp::create(builder, loc, first, block);
+  auto isRank = [&](int64_t number) -> Value {
+    return arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::eq, rank,
+                                 constant(number));
+  };
+  Value lower = loop.getLowerBounds()[plan.dimension];
+  Value upper = loop.getUpperBounds()[plan.dimension];
+  Value inner = arith::MaxSIOp::create(builder, loc, lower, first);
+  Value newLower =
+      arith::SelectOp::create(builder, loc, isRank(0), lower, inner);
+  inner = arith::MinSIOp::create(builder, loc, upper, end);
+  Value newUpper = arith::SelectOp::create(
+      builder, loc, isRank(plan.sharding.ranks - 1), upper, inner);
+  loop.getLowerBoundsMutable()[plan.dimension].set(newLower);
+  loop.getUpperBoundsMutable()[plan.dimension].set(newUpper);
+}
+
+static LogicalResult shardLoop(ParallelForOp loop) {
+  FailureOr<ShardPlan> plan = planShards(loop);
+  if (failed(plan))
+    return failure();
+  OpBuilder before(loop), after(loop);
+  IRMapping known;
+  emitExchanges(before, loop, plan->before, before, known);
+  after.setInsertionPointAfter(loop);
+  emitExchanges(after, loop, plan->after, before, known);
+  ParallelForOp box = toBox(before, loop);
+  before.setInsertionPoint(box);
+  clip(before, box, *plan);
+  return success();
+}
+
+/// Marks the exchanges of a kernel with a hash of the kernel, by which ranks
+/// find out that they run different programs.
+static void setDigests(KernelOp kernel) {
+  SmallVector<ExchangeOp> exchanges;
+  kernel->walk([&](ExchangeOp op) { exchanges.push_back(op); });
+  if (exchanges.empty())
+    return;
+  std::string text;
+  llvm::raw_string_ostream os(text);
+  kernel->print(os, OpPrintingFlags().useLocalScope());
+  auto digest = static_cast<int64_t>(llvm::xxh3_64bits(text));
+  Builder builder(kernel->getContext());
+  for (ExchangeOp op : exchanges)
+    op.setDigestAttr(builder.getI64IntegerAttr(digest));
+}
+
+namespace {
+struct Shard : tai::impl::ShardBase<Shard> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    bool isSharded = false;
+    for (TreeOp tree : getOperation().getOps<TreeOp>()) {
+      if (!hasShards(tree))
+        continue;
+      isSharded = true;
+      if (failed(verifyShards(tree)))
+        return signalPassFailure();
+    }
+    if (!isSharded)
+      return;
+    SmallVector<ParallelForOp> loops;
+    WalkResult result =
+        getOperation()->walk<WalkOrder::PreOrder>([&](Operation *op) {
+          auto loop = dyn_cast<ParallelForOp>(op);
+          if (loop && !onDevice && touchesShards(loop)) {
+            loops.push_back(loop);
+            return WalkResult::skip();
+          }
+          if (!findSharding(op, getNamedField(op)))
+            return WalkResult::advance();
+          op->emitError("cannot run on several ranks: ")
+              << (onDevice ? "it" : "outside of a parallel loop, it")
+              << " accesses '" << getNamedField(op) << "', which is sharded"
+              << (onDevice ? ", on a GPU" : "");
+          return WalkResult::interrupt();
+        });
+    if (result.wasInterrupted())
+      return signalPassFailure();
+    for (ParallelForOp loop : loops)
+      if (failed(shardLoop(loop)))
+        return signalPassFailure();
+    getOperation()->walk([](KernelOp kernel) { setDigests(kernel); });
+  }
+};
+} // namespace

@@ -1,0 +1,487 @@
+//===- ShardPlan.cpp - How ranks share a loop -----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "ShardPlan.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "tai/Analysis/Index/IndexQueries.h"
+#include "tai/Analysis/Index/IndexShift.h"
+#include "tai/Interfaces/FieldAccess.h"
+#include "llvm/Support/MathExtras.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+bool tai::touchesShards(ParallelForOp loop) {
+  return loop
+      ->walk([](Operation *op) {
+        return findSharding(op, getNamedField(op)) ? WalkResult::interrupt()
+                                                   : WalkResult::advance();
+      })
+      .wasInterrupted();
+}
+
+namespace {
+/// The difference between a row that an access reaches and an index of the
+/// loop, a closed range.
+struct Offset {
+  int64_t low = 0, high = 0;
+
+  bool isExact() const { return low == high; }
+};
+
+/// An access to a sharded field.
+struct RowAccess {
+  FieldAccessOpInterface op;
+  Offset offset;
+  FixedIndices at;
+};
+
+/// Offsets beyond this number are no halos of any field.
+constexpr int64_t kFarthest = int64_t(1) << 30;
+
+class Planner {
+public:
+  explicit Planner(ParallelForOp loop) : loop(loop) {}
+
+  FailureOr<ShardPlan> run();
+
+private:
+  LogicalResult checkForm();
+  LogicalResult checkOps();
+  LogicalResult findAccesses();
+  LogicalResult findDimension(FieldAccessOpInterface access,
+                              const Sharding &sharding);
+  std::optional<Offset> getOffset(Value index, unsigned dimension);
+  std::optional<Offset> getOffsetOfPieces(Value index, Value iv,
+                                          unsigned dimension);
+  FixedIndices getFixed(FieldAccessOpInterface access,
+                        std::optional<unsigned> sharded);
+  LogicalResult chooseOwner();
+  LogicalResult planReads();
+  LogicalResult planAdditions();
+  LogicalResult checkReadsOfAdditions();
+  LogicalResult planCopies();
+  LogicalResult checkSummable(AtomicOp op, StringRef memory) const;
+  void add(std::vector<PlannedExchange> &list, PlannedExchange exchange);
+  bool areApart(const FixedIndices &a, const FixedIndices &b) const;
+  InFlightDiagnostic refuse(Operation *op) const {
+    return op->emitError("cannot run on several ranks: ");
+  }
+  bool isOutside(Value value) const {
+    return !loop->isAncestor(value.getParentRegion()->getParentOp());
+  }
+
+  ParallelForOp loop;
+  IndexBuilder builder;
+  ShardPlan plan;
+  bool hasDimension = false;
+  std::vector<RowAccess> rows;
+  SmallVector<FieldAccessOpInterface> copies;
+};
+} // namespace
+
+LogicalResult Planner::checkForm() {
+  if (loop.getSerialize())
+    return refuse(loop) << "the loop accesses a sharded field, and its "
+                           "iterations run one after another";
+  if (!loop.isStructFor())
+    return success();
+  FailureOr<FieldLayout> layout =
+      getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+  if (failed(layout))
+    return failure();
+  if (layout->path.getFirstSparse())
+    return refuse(loop) << "the loop visits the active cells of '"
+                        << loop.getFieldAttr()
+                        << "', and accesses a sharded field";
+  if (loop.getLevel())
+    return refuse(loop) << "the loop visits the cells of a level, and "
+                           "accesses a sharded field";
+  std::optional<Sharding> sharding = getSharding(*layout);
+  if (!sharding)
+    return success();
+  plan.sharding = *sharding;
+  plan.dimension = sharding->dimension;
+  plan.offset = -sharding->first;
+  hasDimension = true;
+  return success();
+}
+
+LogicalResult Planner::checkOps() {
+  WalkResult result = loop->walk([&](Operation *op) {
+    if (isa<RandomOp>(op)) {
+      refuse(op) << "random numbers depend on the number of the iteration, "
+                    "which a rank does not know";
+      return WalkResult::interrupt();
+    }
+    Value array;
+    if (auto store = dyn_cast<memref::StoreOp>(op))
+      array = store.getMemref();
+    else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op))
+      array = atomic.getMemref();
+    if (array && isOutside(array)) {
+      refuse(op)
+          << "the loop accesses a sharded field, and writes to an array, "
+             "of which each rank has a copy";
+      return WalkResult::interrupt();
+    }
+    return WalkResult::advance();
+  });
+  return failure(result.wasInterrupted());
+}
+
+/// Sets the dimension of the loop whose index selects rows.
+LogicalResult Planner::findDimension(FieldAccessOpInterface access,
+                                     const Sharding &sharding) {
+  if (!hasDimension) {
+    Value index = access.getIndices()[sharding.dimension];
+    IndexExpr expr = builder.get(index);
+    unsigned number = 0;
+    while (number < loop.getInductionVars().size() &&
+           !expr.mentions(loop.getInductionVars()[number]))
+      ++number;
+    if (number == loop.getInductionVars().size())
+      return refuse(access) << "the index of '" << access.getFieldAttr()
+                            << "' along its sharded axis is not an index of "
+                               "the loop plus a constant";
+    plan.dimension = number;
+    plan.sharding = sharding;
+    hasDimension = true;
+  }
+  if (plan.sharding.ranks == sharding.ranks &&
+      plan.sharding.block == sharding.block)
+    return success();
+  return refuse(access) << "the loop accesses fields of " << plan.sharding.block
+                        << " and of " << sharding.block
+                        << " rows for each rank";
+}
+
+/// The offset of `index` from the index of the loop along `dimension`.
+std::optional<Offset> Planner::getOffset(Value index, unsigned dimension) {
+  Value iv = loop.getInductionVars()[dimension];
+  IndexExpr difference = builder.get(index);
+  if (difference.getCoefficient(iv) == 1)
+    difference.add(IndexExpr(iv), -1);
+  bool isPlain = difference.width >= 32 &&
+                 llvm::none_of(loop.getInductionVars(), [&](Value other) {
+                   return difference.mentions(other);
+                 });
+  if (!isPlain)
+    return getOffsetOfPieces(index, iv, dimension);
+  if (builder.get(index).getCoefficient(iv) != 1)
+    return std::nullopt;
+  if (difference.isConstant()) {
+    // Narrower arithmetic wraps, but an index that wrapped is not in the field.
+    int64_t offset =
+        difference.width == 64
+            ? difference.constant
+            : llvm::SignExtend64(difference.constant, difference.width);
+    return Offset{offset, offset};
+  }
+  IndexRange range = builder.getRange(difference);
+  if (range.low < -kFarthest || range.high > kFarthest)
+    return std::nullopt;
+  return Offset{int64_t(range.low), int64_t(range.high)};
+}
+
+/// The offset of an index that is linear on parts of the range of the loop, as
+/// `max(i - 1, 0)` is.
+std::optional<Offset> Planner::getOffsetOfPieces(Value index, Value iv,
+                                                 unsigned dimension) {
+  std::optional<int64_t> lower, upper;
+  if (loop.isStructFor()) {
+    FailureOr<FieldLayout> layout =
+        getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+    lower = layout->offset[dimension];
+    upper = *lower + layout->shape[dimension];
+  } else {
+    lower = getConstantIntValue(loop.getLowerBounds()[dimension]);
+    upper = getConstantIntValue(loop.getUpperBounds()[dimension]);
+  }
+  if (!lower || !upper || *lower >= *upper)
+    return std::nullopt;
+  std::optional<SmallVector<IndexPiece>> pieces =
+      getIndexPieces(index, iv, *lower, *upper);
+  if (!pieces || pieces->empty())
+    return std::nullopt;
+  Offset offset{kFarthest, -kFarthest};
+  for (const IndexPiece &piece : *pieces)
+    for (int64_t i : {piece.lower, piece.upper - 1}) {
+      offset.low = std::min(offset.low, piece.at(i) - i);
+      offset.high = std::max(offset.high, piece.at(i) - i);
+    }
+  if (offset.low < -kFarthest || offset.high > kFarthest)
+    return std::nullopt;
+  return offset;
+}
+
+/// True if `value` can be computed in front of the loop.
+static bool isHoistable(Value value, ParallelForOp loop) {
+  if (!loop->isAncestor(value.getParentRegion()->getParentOp()))
+    return true;
+  Operation *op = value.getDefiningOp();
+  return op && op->getNumRegions() == 0 && isPure(op) &&
+         llvm::all_of(op->getOperands(), [&](Value operand) {
+           return isHoistable(operand, loop);
+         });
+}
+
+FixedIndices Planner::getFixed(FieldAccessOpInterface access,
+                               std::optional<unsigned> sharded) {
+  FixedIndices fixed;
+  for (auto [dim, index] : llvm::enumerate(access.getIndices())) {
+    if (sharded == dim || !isHoistable(index, loop))
+      continue;
+    fixed.dims.push_back(dim);
+    fixed.values.push_back(index);
+    fixed.exprs.push_back(builder.get(index));
+  }
+  return fixed;
+}
+
+LogicalResult Planner::findAccesses() {
+  WalkResult result = loop->walk([&](Operation *op) {
+    auto access = dyn_cast<FieldAccessOpInterface>(op);
+    if (!access)
+      return WalkResult::advance();
+    std::optional<Sharding> sharding = findSharding(op, access.getFieldAttr());
+    if (!sharding) {
+      copies.push_back(access);
+      return WalkResult::advance();
+    }
+    if (!isa<LoadOp, StoreOp, AtomicOp>(op)) {
+      refuse(op) << "it asks for cells of '" << access.getFieldAttr()
+                 << "', which is sharded";
+      return WalkResult::interrupt();
+    }
+    if (failed(findDimension(access, *sharding)))
+      return WalkResult::interrupt();
+    std::optional<Offset> offset =
+        getOffset(access.getIndices()[sharding->dimension], plan.dimension);
+    if (!offset) {
+      refuse(op) << "the index of '" << access.getFieldAttr()
+                 << "' along its sharded axis is not the index of the loop "
+                    "plus a constant";
+      return WalkResult::interrupt();
+    }
+    offset->low -= sharding->first;
+    offset->high -= sharding->first;
+    rows.push_back({access, *offset, getFixed(access, sharding->dimension)});
+    return WalkResult::advance();
+  });
+  return failure(result.wasInterrupted());
+}
+
+/// Chooses which row decides the owner of an iteration, and makes offsets
+/// relative to that row.
+LogicalResult Planner::chooseOwner() {
+  const RowAccess *chosen = nullptr;
+  auto choose = [&](auto isWanted) {
+    for (const RowAccess &access : rows)
+      if (!chosen && access.offset.isExact() && isWanted(access.op))
+        chosen = &access;
+  };
+  choose([](Operation *op) { return isa<StoreOp>(op); });
+  choose([](Operation *op) { return isa<AtomicOp>(op); });
+  choose([](Operation *) { return true; });
+  if (chosen)
+    plan.offset = chosen->offset.low;
+  else if (!rows.empty() && !loop.isStructFor())
+    return refuse(rows.front().op)
+           << "no access of the loop is to a sharded field at the index of the "
+              "loop plus a constant";
+  for (RowAccess &access : rows) {
+    Offset &offset = access.offset;
+    offset.low -= plan.offset;
+    offset.high -= plan.offset;
+    StringAttr field = access.op.getFieldAttr().getAttr();
+    if (isa<StoreOp>(access.op) && (offset.low != 0 || offset.high != 0))
+      return refuse(access.op)
+             << "it stores to a row of '" << access.op.getFieldAttr()
+             << "' other than the row that decides which rank runs the "
+                "iteration";
+    if (offset.low < -plan.sharding.block || offset.high > plan.sharding.block)
+      return refuse(access.op)
+             << "it reaches " << std::max(-offset.low, offset.high)
+             << " rows of '" << field.getValue()
+             << "' beyond its own, and a rank has " << plan.sharding.block;
+  }
+  return success();
+}
+
+/// Adds an exchange, or widens one of the same elements.
+void Planner::add(std::vector<PlannedExchange> &list,
+                  PlannedExchange exchange) {
+  for (PlannedExchange &other : list)
+    if (other.kind == exchange.kind && other.field == exchange.field &&
+        other.at == exchange.at) {
+      other.before = std::max(other.before, exchange.before);
+      other.after = std::max(other.after, exchange.after);
+      return;
+    }
+  list.push_back(std::move(exchange));
+}
+
+LogicalResult Planner::planReads() {
+  for (RowAccess &access : rows) {
+    const Offset &offset = access.offset;
+    if (isa<LoadOp>(access.op) && (offset.low < 0 || offset.high > 0))
+      add(plan.before,
+          {ExchangeKind::Fetch, access.op.getFieldAttr(), access.op.getLoc(),
+           access.at, std::max<int64_t>(0, -offset.low),
+           std::max<int64_t>(0, offset.high)});
+  }
+  return success();
+}
+
+/// Reports an update whose contributions cannot be summed over ranks.
+LogicalResult Planner::checkSummable(AtomicOp op, StringRef memory) const {
+  if (!op.getOld().use_empty())
+    return refuse(op) << "it reads the old value of an element of '"
+                      << op.getField() << "', to which other ranks add, too";
+  Type element = getElementTypeOrSelf(op.getValue().getType());
+  if (element.isF16() || element.isBF16())
+    return refuse(op) << "it combines numbers of " << element << " with "
+                      << memory;
+  return success();
+}
+
+LogicalResult Planner::planAdditions() {
+  for (RowAccess &access : rows) {
+    auto atomic = dyn_cast<AtomicOp>(access.op.getOperation());
+    const Offset &offset = access.offset;
+    if (!atomic || (offset.low >= 0 && offset.high <= 0))
+      continue;
+    if (atomic.getKind() != AtomicKind::Add &&
+        atomic.getKind() != AtomicKind::Sub)
+      return refuse(atomic) << "it combines a value with a row of another "
+                               "rank, and is no addition";
+    if (failed(checkSummable(atomic, "rows of other ranks")))
+      return failure();
+    PlannedExchange collect{ExchangeKind::Collect,
+                            atomic.getFieldAttr(),
+                            atomic.getLoc(),
+                            access.at,
+                            std::max<int64_t>(0, -offset.low),
+                            std::max<int64_t>(0, offset.high)};
+    add(plan.after, std::move(collect));
+  }
+  if (failed(checkReadsOfAdditions()))
+    return failure();
+  for (const PlannedExchange &collect : plan.after) {
+    PlannedExchange clear = collect;
+    clear.kind = ExchangeKind::Clear;
+    plan.before.push_back(std::move(clear));
+  }
+  return success();
+}
+
+/// True if the elements with these indices certainly differ.
+bool Planner::areApart(const FixedIndices &a, const FixedIndices &b) const {
+  for (auto [dim, expr] : llvm::zip(a.dims, a.exprs))
+    for (auto [otherDim, otherExpr] : llvm::zip(b.dims, b.exprs))
+      if (dim == otherDim && areDistinct(expr, otherExpr))
+        return true;
+  return false;
+}
+
+/// Reports halos that are both read and added to, or added to in two exchanges:
+/// clearing them would lose values.
+LogicalResult Planner::checkReadsOfAdditions() {
+  for (auto [number, collect] : llvm::enumerate(plan.after)) {
+    for (const PlannedExchange &read : plan.before)
+      if (read.field == collect.field && !areApart(read.at, collect.at))
+        return emitError(collect.loc)
+               << "cannot run on several ranks: the loop adds to rows of '"
+               << collect.field << "' of another rank, and reads such rows";
+    for (const PlannedExchange &other :
+         ArrayRef(plan.after).drop_front(number + 1))
+      if (other.field == collect.field && !areApart(other.at, collect.at))
+        return emitError(other.loc)
+               << "cannot run on several ranks: the loop adds to rows of '"
+               << collect.field
+               << "' of another rank at several indices along other axes";
+  }
+  return success();
+}
+
+/// Plans updates of fields of which each rank has a copy.
+LogicalResult Planner::planCopies() {
+  std::vector<PlannedExchange> totals;
+  for (FieldAccessOpInterface access : copies) {
+    auto atomic = dyn_cast<AtomicOp>(access.getOperation());
+    if (!atomic) {
+      if (!access.writesField())
+        continue;
+      return refuse(access) << "the loop accesses a sharded field, and writes "
+                               "to '"
+                            << access.getFieldAttr()
+                            << "', of which each rank has a copy; atomic "
+                               "additions, minima and maxima are possible";
+    }
+    FailureOr<FieldLayout> layout =
+        getFieldLayout(lookupField(atomic, atomic.getFieldAttr()));
+    if (failed(layout) || layout->path.getFirstSparse())
+      return refuse(access)
+             << "the loop accesses a sharded field, and "
+                "updates '"
+             << access.getFieldAttr() << "', which is below a sparse level";
+    if (failed(checkSummable(atomic, "those of other ranks")))
+      return failure();
+    ExchangeKind kind;
+    switch (atomic.getKind()) {
+    case AtomicKind::Add:
+    case AtomicKind::Sub:
+      kind = ExchangeKind::Sum;
+      break;
+    case AtomicKind::Min:
+      kind = ExchangeKind::Min;
+      break;
+    case AtomicKind::Max:
+      kind = ExchangeKind::Max;
+      break;
+    default:
+      return refuse(atomic)
+             << "ranks combine their copies of '" << atomic.getFieldAttr()
+             << "' by sums, minima and maxima alone";
+    }
+    add(totals, {kind, atomic.getFieldAttr(), atomic.getLoc(),
+                 getFixed(access, std::nullopt)});
+  }
+  for (auto [number, total] : llvm::enumerate(totals)) {
+    for (FieldAccessOpInterface access : copies)
+      if (!isa<AtomicOp>(access) && access.getFieldAttr() == total.field &&
+          !areApart(getFixed(access, std::nullopt), total.at))
+        return refuse(access) << "the loop reads '" << total.field
+                              << "', and combines it over ranks";
+    for (const PlannedExchange &other : ArrayRef(totals).drop_front(number + 1))
+      if (other.field == total.field && !areApart(other.at, total.at))
+        return emitError(other.loc)
+               << "cannot run on several ranks: the loop updates '"
+               << total.field << "' in several ways";
+    if (total.kind == ExchangeKind::Sum) {
+      PlannedExchange open = total;
+      open.kind = ExchangeKind::Open;
+      plan.before.push_back(std::move(open));
+    }
+    plan.after.push_back(total);
+  }
+  return success();
+}
+
+FailureOr<ShardPlan> Planner::run() {
+  if (failed(checkForm()) || failed(checkOps()) || failed(findAccesses()) ||
+      failed(chooseOwner()) || failed(planReads()) || failed(planAdditions()) ||
+      failed(planCopies()))
+    return failure();
+  return std::move(plan);
+}
+
+FailureOr<ShardPlan> tai::planShards(ParallelForOp loop) {
+  return Planner(loop).run();
+}

@@ -1,0 +1,114 @@
+"""Meshes, layouts and kernels that are refused, and ranks that end or run another program."""
+
+from __future__ import annotations
+
+import pytest
+import tai as ti
+
+import rank_pipes
+import rank_scenes
+
+
+class Silent:
+    """A transport to ranks that never answer."""
+
+    def __init__(self, rank, size):
+        self.rank, self.size = rank, size
+
+
+@pytest.fixture
+def mesh():
+    ti.init(arch=ti.cpu, mesh=ti.mesh("x", 2, Silent(0, 2)))
+    yield
+    ti.init(arch=ti.cpu)
+
+
+def test_a_mesh_has_as_many_ranks_as_processes():
+    with pytest.raises(ti.TaiRuntimeError, match="mesh 'x' has 3 ranks, but 2 processes run"):
+        ti.init(arch=ti.cpu, mesh=ti.mesh("x", 3, Silent(0, 2)))
+
+
+def test_a_mesh_runs_on_the_cpu():
+    with pytest.raises(ti.TaiRuntimeError, match="a mesh runs on the CPU"):
+        ti.init(arch=ti.python, mesh=ti.mesh("x", 2, Silent(0, 2)))
+
+
+def test_a_mesh_is_made_by_mesh():
+    with pytest.raises(ti.TaiRuntimeTypeError, match="mesh is made by ti.mesh, but got 4"):
+        ti.init(arch=ti.cpu, mesh=4)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="a mesh has a name and a number of processes"):
+        ti.mesh("x", 0)
+
+
+def test_a_shard_needs_a_mesh():
+    ti.init(arch=ti.cpu)
+    with pytest.raises(ti.TaiRuntimeError, match="the program has no mesh"):
+        ti.root.shard(ti.i)
+
+
+def test_ranks_divide_the_extent(mesh):
+    with pytest.raises(ti.TaiRuntimeError, match="2 ranks of the mesh do not divide the extent 7"):
+        ti.root.shard(ti.i).dense(ti.ij, (7, 8))
+
+
+def test_levels_around_a_shard_are_dense(mesh):
+    with pytest.raises(ti.TaiRuntimeError, match="a pointer level cannot stand below a shard"):
+        ti.root.shard(ti.i).pointer(ti.i, 8)
+    with pytest.raises(ti.TaiRuntimeError, match="a shard cannot stand below a bitmasked level"):
+        ti.root.bitmasked(ti.j, 8).shard(ti.i)
+    with pytest.raises(ti.TaiRuntimeError, match="a level above the shard divides axis i"):
+        ti.root.dense(ti.i, 8).shard(ti.i)
+    with pytest.raises(ti.TaiRuntimeError, match="two levels below a shard divide its axis i"):
+        ti.root.shard(ti.i).dense(ti.i, 8).dense(ti.i, 2)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="a shard has one axis"):
+        ti.root.shard(ti.ij)
+
+
+def test_refused_accesses_name_their_line(mesh):
+    x, y, total = (ti.field(float, name=name) for name in ("x", "y", "total"))
+    ti.root.shard(ti.i).dense(ti.i, 8).place(x, y)
+    ti.root.place(total)
+
+    @ti.kernel
+    def wraps():
+        for i in x:
+            y[i] = x[(i + 1) % 8]
+
+    @ti.kernel
+    def serial() -> float:
+        return x[3]
+
+    @ti.kernel
+    def stores():
+        for i in x:
+            total[None] = x[i]
+
+    @ti.kernel
+    def draws():
+        for i in x:
+            x[i] = ti.random()
+
+    for kernel, message, line in (
+        (wraps, "it reaches 7 rows of 'x' beyond its own, and a rank has 4", "(i + 1) % 8"),
+        (serial, "outside of a parallel loop, it accesses 'x', which is sharded", "return x"),
+        (stores, "writes to 'total', of which each rank has a copy", "total[None] ="),
+        (draws, "random numbers depend on the number of the iteration", "ti.random"),
+    ):
+        with pytest.raises(ti.TaiError, match="cannot run on several ranks") as caught:
+            kernel()
+        assert message in caught.value.message
+        with open(__file__) as source:
+            assert line in source.read().splitlines()[caught.value.lineno - 1]
+
+
+def test_ranks_with_different_programs_report_it():
+    for result in rank_pipes.run_ranks(rank_scenes.different, 2):
+        assert "run different programs" in result and "rank_scenes.py" in result
+
+
+def test_a_rank_that_ends_ends_the_others():
+    first, second, third = rank_pipes.run_ranks(rank_scenes.ending, 3)
+    assert second == "ended with 3"
+    for rank, result in ((0, first), (2, third)):
+        assert f"rank {rank} of 3 lost another rank in the exchange 'fetch' of field 'x'" in result
+        assert "rank_scenes.py" in result
