@@ -204,7 +204,6 @@ from .errors import (
 )
 from .errors import did_you_mean as _did_you_mean
 
-native.check_built()
 alias.install()
 
 # Loaded when they are first used: the extension module with libtai behind it, and modules that draw

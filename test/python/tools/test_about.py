@@ -137,6 +137,17 @@ def test_another_python_is_one_line(tmp_path: Path):
     assert "this installation has _core.cpython-310-x86_64-linux-gnu.so" in message
 
 
+def test_an_older_python_is_refused_first(tmp_path: Path):
+    """Neither its syntax nor a missing NumPy is the first complaint."""
+    package = copy_without_module(tmp_path)
+    for path in package.rglob("*.py"):
+        if path.name not in ("__init__.py", "native.py", "types.py"):
+            path.write_text("match = = 1\n")
+    (tmp_path / "numpy.py").write_text("raise ImportError('no numpy')\n")
+    message = last_error(tmp_path, "import tai")
+    assert message.startswith("ImportError: tai has no extension module for CPython 3.")
+
+
 def test_library_that_cannot_be_loaded_is_one_line(tmp_path: Path):
     package = copy_without_module(tmp_path)
     (package / f"_core{sysconfig.get_config_var('EXT_SUFFIX')}").write_text("no library")
