@@ -327,14 +327,27 @@ void Planner::add(std::vector<PlannedExchange> &list,
   list.push_back(std::move(exchange));
 }
 
+/// True if two accesses are to one field.
+static bool sharesField(RowAccess first, RowAccess second) {
+  return first.op.getFieldAttr() == second.op.getFieldAttr();
+}
+
 LogicalResult Planner::planReads() {
   for (RowAccess &access : rows) {
     const Offset &offset = access.offset;
-    if (isa<LoadOp>(access.op) && (offset.low < 0 || offset.high > 0))
-      add(plan.before,
-          {ExchangeKind::Fetch, access.op.getFieldAttr(), access.op.getLoc(),
-           access.at, std::max<int64_t>(0, -offset.low),
-           std::max<int64_t>(0, offset.high)});
+    if (!isa<LoadOp>(access.op) || (offset.low >= 0 && offset.high <= 0))
+      continue;
+    // Iterations of one thread would read what earlier ones have stored.
+    for (const RowAccess &store : rows)
+      if (isa<StoreOp>(store.op) && sharesField(store, access) &&
+          !areApart(store.at, access.at))
+        return refuse(access.op)
+               << "it reads a row of '" << access.op.getFieldAttr()
+               << "' that another iteration of the loop stores";
+    add(plan.before,
+        {ExchangeKind::Fetch, access.op.getFieldAttr(), access.op.getLoc(),
+         access.at, std::max<int64_t>(0, -offset.low),
+         std::max<int64_t>(0, offset.high)});
   }
   return success();
 }

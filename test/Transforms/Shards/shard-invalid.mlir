@@ -259,3 +259,19 @@ tai.kernel @ordered() {
   } {serialize}
   tai.return
 }
+
+// -----
+
+tai.tree @t : !tai.root<!tai_mesh.shard<[j: 4], dense<[i: 4, j: 64], {x: f32}>>>
+tai.field @x = @t["x"] : f32, rank 2
+tai.kernel @in_place(%s: index, %t: index) {
+  %c1 = arith.constant 1 : index
+  %c64 = arith.constant 64 : index
+  tai.parallel_for (%j) = (%c1) to (%c64) {
+    %0 = arith.subi %j, %c1 : index
+    // expected-error @+1 {{cannot run on several ranks: it reads a row of '@x' that another iteration of the loop stores}}
+    %1 = tai.load @x[%s, %0] : f32
+    tai.store %1, @x[%t, %j] : f32
+  }
+  tai.return
+}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import tai as ti
 
@@ -99,6 +100,13 @@ def test_refused_accesses_name_their_line(mesh):
         assert message in caught.value.message
         with open(__file__) as source:
             assert line in source.read().splitlines()[caught.value.lineno - 1]
+
+
+def test_the_memory_of_a_sharded_field_is_not_shared(mesh):
+    x = ti.field(float)
+    ti.root.shard(ti.i).dense(ti.i, 8).place(x)
+    with pytest.raises(BufferError, match="processes have parts of it"):
+        np.from_dlpack(x)
 
 
 def test_ranks_with_different_programs_report_it():

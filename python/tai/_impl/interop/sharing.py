@@ -23,6 +23,11 @@ def _storage(field: Any) -> Any:
             f"field '{field.name}' cannot be shared: its components lie apart; copy it, by "
             "to_numpy or to_torch"
         )
+    if single._sharded is not None:
+        raise BufferError(
+            f"field '{field.name}' cannot be shared: processes have parts of it; copy it, by "
+            "to_numpy or to_torch"
+        )
     return single
 
 
