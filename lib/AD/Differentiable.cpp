@@ -7,8 +7,8 @@
 
 #include "tai/Interfaces/Differentiable.h"
 #include "Rules/Models.h"
-#include "tai/AD/AdjointBuilder.h"
-#include "tai/AD/TangentBuilder.h"
+#include "tai/AD/Forward/TangentBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -14,7 +14,7 @@
 #define TAI_LIB_AD_SELECTEDFUNCTIONSPASS_H
 
 #include "mlir/IR/DialectRegistry.h"
-#include "tai/AD/Selection.h"
+#include "tai/AD/Prepare/Selection.h"
 #include "tai/Interfaces/Differentiable.h"
 
 namespace mlir::tai {

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/AD/Signature.h"
-#include "tai/AD/Foreign.h"
+#include "tai/AD/Foreign/Foreign.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Interfaces/Differentiable.h"
 

@@ -11,7 +11,7 @@
 // The plain functions are defined here, without the macros of tai-c/Sizes.h.
 #define TAI_PLAIN_FUNCTIONS
 #include "tai-c/Tai.h"
-#include "tai/ExecutionEngine/Program.h"
+#include "tai/ExecutionEngine/Modules/Program.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <mutex>

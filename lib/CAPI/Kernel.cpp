@@ -8,7 +8,7 @@
 #include "Impl.h"
 #include "mlir/CAPI/IR.h"
 #include "mlir/CAPI/Utils.h"
-#include "tai/ExecutionEngine/ModuleFile.h"
+#include "tai/ExecutionEngine/Modules/ModuleFile.h"
 
 using namespace mlir;
 using namespace mlir::tai;

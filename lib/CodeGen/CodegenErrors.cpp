@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "CodegenErrors.h"
-#include "InjectedFailures.h"
+#include "tai/CodeGen/InjectedFailures.h"
 #include "llvm/IR/DiagnosticInfo.h"
 #include "llvm/IR/DiagnosticPrinter.h"
 #include "llvm/Support/ErrorHandling.h"

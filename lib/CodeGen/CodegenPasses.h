@@ -8,7 +8,7 @@
 #ifndef TAI_LIB_CODEGEN_CODEGENPASSES_H
 #define TAI_LIB_CODEGEN_CODEGENPASSES_H
 
-#include "VerifyEach.h"
+#include "tai/CodeGen/VerifyEach.h"
 #include "llvm/ADT/StringRef.h"
 #include "llvm/IR/LegacyPassManager.h"
 #include "llvm/IR/Verifier.h"

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "InjectedFailures.h"
+#include "tai/CodeGen/InjectedFailures.h"
 #include "mlir/Pass/PassManager.h"
 #include "tai/Transforms/Passes.h"
 

@@ -27,7 +27,7 @@
 #include "tai/Interfaces/Differentiable.h"
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Shards/Passes.h"
-#include "tai/Transforms/WidenArithmetic.h"
+#include "tai/Transforms/Simplify/WidenArithmetic.h"
 
 using namespace mlir;
 

@@ -16,7 +16,7 @@
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/Tools/mlir-translate/Translation.h"
 #include "tai/ABI/DeviceAbi.h"
-#include "tai/CodeGen/DeviceCompiler.h"
+#include "tai/CodeGen/Device/DeviceCompiler.h"
 #include "tai/InitAll.h"
 #include "llvm/Support/CommandLine.h"
 #include "llvm/Support/raw_ostream.h"

@@ -13,7 +13,7 @@
 #include "ModuleFiles.h"
 #include "common/Upstream.h"
 #include "mlir/Tools/mlir-translate/Translation.h"
-#include "tai/ExecutionEngine/ModuleFile.h"
+#include "tai/ExecutionEngine/Modules/ModuleFile.h"
 #include "tai/InitAll.h"
 #include "llvm/Support/MemoryBuffer.h"
 #include "llvm/Support/SourceMgr.h"

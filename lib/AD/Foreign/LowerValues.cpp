@@ -18,7 +18,7 @@
 #include "mlir/Dialect/SCF/Transforms/Patterns.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/Transforms/DialectConversion.h"
-#include "tai/AD/Foreign.h"
+#include "tai/AD/Foreign/Foreign.h"
 
 using namespace mlir;
 using namespace mlir::tai;

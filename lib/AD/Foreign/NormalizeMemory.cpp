@@ -19,7 +19,7 @@
 #include "mlir/IR/Dominance.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
-#include "tai/AD/Foreign.h"
+#include "tai/AD/Foreign/Foreign.h"
 #include "tai/Analysis/HelpfulPasses.h"
 #include "llvm/ADT/MapVector.h"
 #include "llvm/ADT/SetVector.h"

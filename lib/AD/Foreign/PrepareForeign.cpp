@@ -40,9 +40,9 @@
 #include "mlir/Transforms/CFGToSCF.h"
 #include "mlir/Transforms/DialectConversion.h"
 #include "mlir/Transforms/Passes.h"
-#include "tai/AD/Foreign.h"
+#include "tai/AD/Foreign/Foreign.h"
 #include "tai/AD/Passes.h"
-#include "tai/AD/Selection.h"
+#include "tai/AD/Prepare/Selection.h"
 #include "tai/Analysis/HelpfulPasses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 

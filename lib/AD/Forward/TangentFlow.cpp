@@ -13,7 +13,7 @@
 
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/ControlFlowInterfaces.h"
-#include "tai/AD/TangentBuilder.h"
+#include "tai/AD/Forward/TangentBuilder.h"
 #include "tai/Analysis/Activity.h"
 #include "tai/Analysis/DerivativePaths.h"
 #include "tai/Dialect/Tai/IR/Tai.h"

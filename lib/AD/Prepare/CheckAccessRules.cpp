@@ -15,7 +15,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/AD/Passes.h"
-#include "tai/AD/Selection.h"
+#include "tai/AD/Prepare/Selection.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Activity.h"

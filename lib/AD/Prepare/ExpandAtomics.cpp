@@ -17,7 +17,7 @@
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
 #include "tai/AD/Conventions.h"
 #include "tai/AD/Passes.h"
-#include "tai/AD/Selection.h"
+#include "tai/AD/Prepare/Selection.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/AD/Selection.h"
+#include "tai/AD/Prepare/Selection.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
-#include "tai/AD/Foreign.h"
+#include "tai/AD/Foreign/Foreign.h"
 #include "tai/AD/Signature.h"
 #include "tai/Analysis/HelpfulPasses.h"
 #include "tai/Dialect/Tai/IR/Layout.h"

@@ -17,8 +17,8 @@
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "mlir/Transforms/RegionUtils.h"
-#include "tai/AD/SpectralForms.h"
-#include "tai/AD/TangentBuilder.h"
+#include "tai/AD/Forward/TangentBuilder.h"
+#include "tai/AD/Prepare/SpectralForms.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Support/SilencedDiagnostics.h"
 

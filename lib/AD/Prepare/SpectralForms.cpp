@@ -22,12 +22,12 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/AD/SpectralForms.h"
-#include "../Rules/Decompositions.h"
+#include "tai/AD/Prepare/SpectralForms.h"
 #include "Slopes.h"
 #include "mlir/IR/Iterators.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/AD/Rules/Decompositions.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;

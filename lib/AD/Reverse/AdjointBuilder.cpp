@@ -10,7 +10,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 #include "ContendedAtomics.h"
 #include "ForwardReexecution.h"
 #include "NonFiniteAdjoints.h"

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/AD/AdjointPlan.h"
+#include "tai/AD/Reverse/AdjointPlan.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/AD/AdjointPlanner.h"
+#include "tai/AD/Reverse/AdjointPlanner.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Dialect/Tai/IR/Layout.h"

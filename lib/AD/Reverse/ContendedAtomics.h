@@ -14,7 +14,7 @@
 #ifndef TAI_LIB_AD_REVERSE_CONTENDEDATOMICS_H
 #define TAI_LIB_AD_REVERSE_CONTENDEDATOMICS_H
 
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 namespace mlir::tai {

@@ -22,7 +22,7 @@
 #define TAI_LIB_AD_REVERSE_FORWARDREEXECUTION_H
 
 #include "mlir/IR/IRMapping.h"
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 
 namespace mlir::tai {
 

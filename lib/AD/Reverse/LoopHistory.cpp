@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/AD/LoopHistory.h"
+#include "tai/AD/Reverse/LoopHistory.h"
 #include "LoopRemarks.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/IR/Matchers.h"

@@ -8,7 +8,7 @@
 #include "LoopRemarks.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Remarks.h"
-#include "tai/AD/LoopTrajectory.h"
+#include "tai/AD/Reverse/LoopTrajectory.h"
 #include "llvm/Support/FormatVariadic.h"
 
 using namespace mlir;

@@ -10,7 +10,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Foreign/Traces.h"
 #include "../SelectedFunctionsPass.h"
 #include "StoredOutputs.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
@@ -19,14 +18,15 @@
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
-#include "tai/AD/AdjointBuilder.h"
-#include "tai/AD/AdjointPlanner.h"
 #include "tai/AD/Conventions.h"
-#include "tai/AD/Foreign.h"
+#include "tai/AD/Foreign/Foreign.h"
+#include "tai/AD/Foreign/Traces.h"
 #include "tai/AD/Passes.h"
-#include "tai/AD/Selection.h"
+#include "tai/AD/Prepare/Selection.h"
+#include "tai/AD/Prepare/SpectralForms.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointPlanner.h"
 #include "tai/AD/Signature.h"
-#include "tai/AD/SpectralForms.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Analysis/Reductions/ReductionPlan.h"

@@ -15,7 +15,7 @@
 #ifndef TAI_LIB_AD_REVERSE_NONFINITEADJOINTS_H
 #define TAI_LIB_AD_REVERSE_NONFINITEADJOINTS_H
 
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 
 namespace mlir::tai {
 

@@ -10,7 +10,7 @@
 #include "StoredOutputs.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
-#include "tai/AD/LoopHistory.h"
+#include "tai/AD/Reverse/LoopHistory.h"
 #include "tai/Analysis/Owners.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 

@@ -16,7 +16,7 @@
 #define TAI_LIB_AD_REVERSE_REMATERIALIZER_H
 
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 
 namespace mlir::tai {
 class ForwardReexecution;

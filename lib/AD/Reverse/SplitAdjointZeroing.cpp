@@ -16,7 +16,7 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/IR/PatternMatch.h"
 #include "mlir/Transforms/RegionUtils.h"
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 

@@ -16,7 +16,7 @@
 #ifndef TAI_LIB_AD_REVERSE_STOREDOUTPUTS_H
 #define TAI_LIB_AD_REVERSE_STOREDOUTPUTS_H
 
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 namespace mlir::tai {

@@ -8,7 +8,7 @@
 #ifndef TAI_LIB_AD_REVERSE_VALUESHADOWS_H
 #define TAI_LIB_AD_REVERSE_VALUESHADOWS_H
 
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 
 namespace mlir::tai {
 

@@ -12,7 +12,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
-#include "tai/AD/AdjointPlanner.h"
+#include "tai/AD/Reverse/AdjointPlanner.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/DerivativePaths.h"
 #include "tai/Analysis/HelpfulPasses.h"

@@ -14,9 +14,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Decompositions.h"
 #include "Models.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/AD/Rules/Decompositions.h"
 
 using namespace mlir;
 using namespace mlir::tai;

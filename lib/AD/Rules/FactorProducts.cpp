@@ -17,7 +17,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Decompositions.h"
+#include "tai/AD/Rules/Decompositions.h"
 
 using namespace mlir;
 using namespace mlir::tai;

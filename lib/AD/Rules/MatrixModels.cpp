@@ -11,8 +11,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Decompositions.h"
 #include "Models.h"
+#include "tai/AD/Rules/Decompositions.h"
 
 using namespace mlir;
 using namespace mlir::tai;

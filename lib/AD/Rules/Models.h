@@ -14,7 +14,7 @@
 #define TAI_LIB_AD_RULES_MODELS_H
 
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "tai/AD/TangentBuilder.h"
+#include "tai/AD/Forward/TangentBuilder.h"
 
 namespace mlir {
 class DialectRegistry;

@@ -15,8 +15,8 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/AD/LoopHistory.h"
-#include "tai/AD/ParallelReverse.h"
+#include "tai/AD/Reverse/LoopHistory.h"
+#include "tai/AD/Reverse/ParallelReverse.h"
 #include "tai/Dialect/Tai/IR/Guards.h"
 
 using namespace mlir;

@@ -15,7 +15,7 @@
 #include "SharedFactors.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 #include "tai/Analysis/ZeroTests.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/StringMap.h"

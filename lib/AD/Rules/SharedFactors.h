@@ -19,7 +19,7 @@
 #ifndef TAI_LIB_AD_RULES_SHAREDFACTORS_H
 #define TAI_LIB_AD_RULES_SHAREDFACTORS_H
 
-#include "tai/AD/TangentBuilder.h"
+#include "tai/AD/Forward/TangentBuilder.h"
 
 namespace mlir::tai {
 

@@ -7,9 +7,9 @@
 
 #include "Models.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
-#include "tai/AD/AdjointBuilder.h"
 #include "tai/AD/NarrowAdjoints.h"
-#include "tai/AD/ParallelReverse.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
+#include "tai/AD/Reverse/ParallelReverse.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 

@@ -14,7 +14,7 @@
 #include "Models.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Reverse/AdjointBuilder.h"
 
 using namespace mlir;
 using namespace mlir::tai;

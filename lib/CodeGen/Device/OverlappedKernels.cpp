@@ -13,7 +13,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "ProgramParts.h"
-#include "tai/CodeGen/DeviceCompiler.h"
+#include "tai/CodeGen/Device/DeviceCompiler.h"
 #include "llvm/ADT/DenseSet.h"
 #include "llvm/IR/IRBuilder.h"
 #include "llvm/IR/InlineAsm.h"

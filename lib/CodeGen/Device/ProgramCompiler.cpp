@@ -15,7 +15,7 @@
 #include "ProgramParts.h"
 #include "TileBuilder.h"
 #include "tai/ABI/DeviceAbi.h"
-#include "tai/CodeGen/DeviceCompiler.h"
+#include "tai/CodeGen/Device/DeviceCompiler.h"
 #include "llvm/Bitcode/BitcodeReader.h"
 #include "llvm/IR/IRBuilder.h"
 #include "llvm/IR/InlineAsm.h"

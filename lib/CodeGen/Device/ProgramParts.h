@@ -8,7 +8,7 @@
 #ifndef TAI_LIB_CODEGEN_DEVICE_PROGRAMPARTS_H
 #define TAI_LIB_CODEGEN_DEVICE_PROGRAMPARTS_H
 
-#include "tai/CodeGen/DeviceCompiler.h"
+#include "tai/CodeGen/Device/DeviceCompiler.h"
 #include "llvm/IR/Module.h"
 #include "llvm/Support/Error.h"
 

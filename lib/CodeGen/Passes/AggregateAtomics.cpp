@@ -25,7 +25,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "AggregateAtomics.h"
+#include "tai/CodeGen/Passes/AggregateAtomics.h"
 #include "Addresses.h"
 #include "tai/ABI/DeviceAccesses.h"
 #include "llvm/Analysis/AliasAnalysis.h"

@@ -13,8 +13,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "HugeBodies.h"
-#include "ManyLoops.h"
+#include "tai/CodeGen/Passes/HugeBodies.h"
+#include "tai/CodeGen/Passes/ManyLoops.h"
 #include "llvm/Analysis/LoopInfo.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/Analysis/TargetTransformInfo.h"

@@ -12,9 +12,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "InsertSafepoints.h"
-#include "ManyLoops.h"
+#include "tai/CodeGen/Passes/InsertSafepoints.h"
 #include "tai/ABI/Abi.h"
+#include "tai/CodeGen/Passes/ManyLoops.h"
 #include "llvm/Analysis/LoopInfo.h"
 #include "llvm/Analysis/ScalarEvolution.h"
 #include "llvm/Analysis/ScalarEvolutionExpressions.h"

@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "LocalMemory.h"
+#include "tai/CodeGen/Passes/LocalMemory.h"
 #include "tai/ABI/LocalMemory.h"
 #include "llvm/IR/Dominators.h"
 #include "llvm/IR/IRBuilder.h"

@@ -12,8 +12,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "ManyLoops.h"
-#include "InsertSafepoints.h"
+#include "tai/CodeGen/Passes/ManyLoops.h"
+#include "tai/CodeGen/Passes/InsertSafepoints.h"
 #include "llvm/ADT/MapVector.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/Analysis/LoopInfo.h"

@@ -25,7 +25,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "UnrollGridLoops.h"
+#include "tai/CodeGen/Passes/UnrollGridLoops.h"
 #include "llvm/ADT/SmallPtrSet.h"
 #include "llvm/Analysis/LoopInfo.h"
 #include "llvm/IR/Dominators.h"

@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "VectorizeAtomics.h"
+#include "tai/CodeGen/Passes/VectorizeAtomics.h"
 #include "Addresses.h"
 #include "llvm/ADT/MapVector.h"
 #include "llvm/Analysis/AliasAnalysis.h"

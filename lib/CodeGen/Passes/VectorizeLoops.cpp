@@ -10,7 +10,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "VectorizeLoops.h"
+#include "tai/CodeGen/Passes/VectorizeLoops.h"
 #include "llvm/Analysis/LoopInfo.h"
 #include "llvm/Analysis/LoopIterator.h"
 #include "llvm/Analysis/ScalarEvolution.h"

@@ -22,7 +22,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "WidenSums.h"
+#include "tai/CodeGen/Passes/WidenSums.h"
 #include "tai/ABI/SumModes.h"
 #include "llvm/Analysis/LoopInfo.h"
 #include "llvm/IR/IRBuilder.h"

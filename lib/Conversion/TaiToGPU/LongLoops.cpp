@@ -18,11 +18,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Offload.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "tai/Conversion/TaiToGPU/Offload.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;

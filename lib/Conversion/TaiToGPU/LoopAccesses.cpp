@@ -12,11 +12,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "LoopAccesses.h"
-#include "Offload.h"
+#include "tai/Conversion/TaiToGPU/LoopAccesses.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Conversion/TaiToGPU/Offload.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include <numeric>

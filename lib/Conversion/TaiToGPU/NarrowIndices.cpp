@@ -14,13 +14,13 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Offload.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/DataLayoutInterfaces.h"
 #include "tai/Analysis/Index/IntegerRanges.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Conversion/TaiToGPU/Offload.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/Accumulate.h"

@@ -12,10 +12,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Offload.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Conversion/TaiToGPU/Offload.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/Support/CheckedArithmetic.h"
 

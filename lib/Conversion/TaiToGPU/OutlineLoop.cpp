@@ -11,13 +11,13 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../TaiToHost/Reductions/Accumulators.h"
-#include "LoopAccesses.h"
-#include "Offload.h"
 #include "Reductions/Sums.h"
 #include "Reductions/WarpLoop.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Conversion/TaiToGPU/LoopAccesses.h"
+#include "tai/Conversion/TaiToGPU/Offload.h"
+#include "tai/Conversion/TaiToHost/Reductions/Accumulators.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/IndexMath.h"

@@ -12,12 +12,12 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../TaiToHost/RuntimeCalls.h"
-#include "LoopAccesses.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
 #include "tai/Analysis/Index/IndexShift.h"
+#include "tai/Conversion/TaiToGPU/LoopAccesses.h"
+#include "tai/Conversion/TaiToHost/RuntimeCalls.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 
 using namespace mlir;

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/PatternMatch.h"
 #include "tai/ABI/MeshAbi.h"
+#include "tai/Conversion/TaiToHost/Lowering.h"
 #include "tai/Dialect/Mesh/IR/Mesh.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/Accumulate.h"

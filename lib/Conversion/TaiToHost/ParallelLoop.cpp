@@ -13,11 +13,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Lowering.h"
-#include "Reductions/Accumulators.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/ABI/SumModes.h"
 #include "tai/Analysis/Cost.h"
+#include "tai/Conversion/TaiToHost/Lowering.h"
+#include "tai/Conversion/TaiToHost/Reductions/Accumulators.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/SumOrder.h"
 

@@ -10,9 +10,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Lowering.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Conversion/TaiToHost/Lowering.h"
 #include "tai/Support/BoundsMode.h"
 
 using namespace mlir;

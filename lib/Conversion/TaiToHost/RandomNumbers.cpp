@@ -13,8 +13,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Lowering.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
+#include "tai/Conversion/TaiToHost/Lowering.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "RuntimeCalls.h"
+#include "tai/Conversion/TaiToHost/RuntimeCalls.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 

@@ -13,10 +13,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "FloatOptions.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/Math/IR/Math.h"
+#include "tai/Conversion/ToLLVM/FloatOptions.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 
 using namespace mlir;

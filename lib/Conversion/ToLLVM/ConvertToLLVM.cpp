@@ -5,7 +5,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "FloatOptions.h"
 #include "mlir/Conversion/ArithToLLVM/ArithToLLVM.h"
 #include "mlir/Conversion/ControlFlowToLLVM/ControlFlowToLLVM.h"
 #include "mlir/Conversion/FuncToLLVM/ConvertFuncToLLVM.h"
@@ -29,6 +28,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Conversion/ToLLVM/FloatOptions.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"

@@ -13,8 +13,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "FloatOptions.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "tai/Conversion/ToLLVM/FloatOptions.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 

@@ -14,9 +14,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "FloatOptions.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
+#include "tai/Conversion/ToLLVM/FloatOptions.h"
 #include "llvm/ADT/bit.h"
 
 using namespace mlir;

@@ -5,9 +5,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../TaiToGPU/LoopAccesses.h"
-#include "../TaiToGPU/Offload.h"
-#include "../ToLLVM/FloatOptions.h"
 #include "DeviceFloats.h"
 #include "mlir/Conversion/GPUToNVVM/GPUToNVVMPass.h"
 #include "mlir/Conversion/LLVMCommon/ConversionTarget.h"
@@ -19,6 +16,9 @@
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Conversion/TaiToGPU/LoopAccesses.h"
+#include "tai/Conversion/TaiToGPU/Offload.h"
+#include "tai/Conversion/ToLLVM/FloatOptions.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 

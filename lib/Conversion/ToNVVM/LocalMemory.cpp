@@ -16,9 +16,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../TaiToGPU/Offload.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/Conversion/TaiToGPU/Offload.h"
 
 using namespace mlir;
 using namespace mlir::tai;

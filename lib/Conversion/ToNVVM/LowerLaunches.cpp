@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../TaiToHost/RuntimeCalls.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/IR/PatternMatch.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Conversion/TaiToHost/RuntimeCalls.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/LowerEach.h"

@@ -1,5 +1,5 @@
 """Functions of vectors: of glibc, within 4 units in the last place, under fast_math, else of SLEEF
-and the runtime, whose results test/unit/Compiler/VectorMathTest.cpp looks at."""
+and the runtime, whose results test/unit/CodeGen/Passes/VectorMathTest.cpp looks at."""
 
 import ctypes
 import math

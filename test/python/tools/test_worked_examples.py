@@ -84,7 +84,7 @@ def compile_changed(folder: Path, like: str, *how: str) -> None:
         ("A kind of layout level", "lib/AD/Rules/ScalarRules.cpp"),
         ("An entry point of the runtime", "lib/Runtime/Launch/Abi.cpp"),
         ("A form of an index", "lib/Analysis/Index/IndexBuilder.cpp"),
-        ("A form of an index", "test/unit/Analysis/IndexDigitsTest.cpp"),
+        ("A form of an index", "test/unit/Analysis/Index/IndexDigitsTest.cpp"),
         ("A form of a reduction", "lib/Conversion/TaiToHost/Reductions/RegisterTotal.cpp"),
     ],
 )
@@ -171,7 +171,7 @@ def test_the_row_of_an_option_is_all_that_the_sources_need(tmp_path):
     changed = tmp_path / "tai/Support/Options.def"
     changed.parent.mkdir(parents=True)
     changed.write_text(changed_options())
-    source = ROOT / "lib/ExecutionEngine/SessionOptions.cpp"
+    source = ROOT / "lib/ExecutionEngine/Session/SessionOptions.cpp"
     words, folder = compiler_of(source)
 
     def compiles(*how: str) -> str:

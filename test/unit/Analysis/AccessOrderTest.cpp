@@ -11,7 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/AccessOrder.h"
-#include "../Compiler/ContextTest.h"
+#include "../Utils/ContextTest.h"
 #include "mlir/Parser/Parser.h"
 #include "tai/Analysis/IterationOrder.h"
 #include "tai/Dialect/Tai/IR/Tai.h"

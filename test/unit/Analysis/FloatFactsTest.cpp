@@ -12,7 +12,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/FloatFacts.h"
-#include "../Compiler/ContextTest.h"
+#include "../Utils/ContextTest.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"

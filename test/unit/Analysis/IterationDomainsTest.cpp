@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/IterationDomains.h"
-#include "../Compiler/ContextTest.h"
+#include "../Utils/ContextTest.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Parser/Parser.h"
 #include "gtest/gtest.h"

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/LaunchAccesses.h"
-#include "../Compiler/ContextTest.h"
+#include "../Utils/ContextTest.h"
 #include "mlir/Parser/Parser.h"
 #include "tai/Analysis/LoopLevels.h"
 #include "tai/Analysis/ToBeRecorded.h"

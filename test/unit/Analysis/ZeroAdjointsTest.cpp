@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/ZeroAdjoints.h"
-#include "../Compiler/ContextTest.h"
+#include "../Utils/ContextTest.h"
 #include "mlir/Parser/Parser.h"
 #include "gtest/gtest.h"
 

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Compiler/EngineTestUtil.h"
+#include "../Utils/EngineTestUtil.h"
 #include <cmath>
 #include <thread>
 

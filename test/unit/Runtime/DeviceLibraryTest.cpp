@@ -13,7 +13,7 @@
 #include "tai/ABI/Abi.h"
 #include "tai/ABI/DeviceAbi.h"
 #include "tai/ABI/DeviceSparse.h"
-#include "tai/CodeGen/DeviceCompiler.h"
+#include "tai/CodeGen/Device/DeviceCompiler.h"
 #include "tai/CodeGen/Linker.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
 #include "tai/Runtime/Device/DeviceReport.h"

@@ -14,8 +14,8 @@
 #ifndef TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SCATTERBUFFERS_H
 #define TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SCATTERBUFFERS_H
 
-#include "../Offload.h"
 #include "tai/Analysis/Reductions/Accumulation.h"
+#include "tai/Conversion/TaiToGPU/Offload.h"
 
 namespace mlir::tai {
 

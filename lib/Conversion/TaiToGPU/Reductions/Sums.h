@@ -8,7 +8,7 @@
 #ifndef TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SUMS_H
 #define TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SUMS_H
 
-#include "../Offload.h"
+#include "tai/Conversion/TaiToGPU/Offload.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 
 namespace mlir::tai {

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Accumulators.h"
+#include "tai/Conversion/TaiToHost/Reductions/Accumulators.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Transforms/Utils/IndexMath.h"

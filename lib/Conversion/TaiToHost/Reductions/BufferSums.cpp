@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "BufferSums.h"
+#include "tai/Conversion/TaiToHost/Reductions/BufferSums.h"
 #include "PairSums.h"
-#include "TotalForm.h"
 #include "tai/ABI/SumModes.h"
+#include "tai/Conversion/TaiToHost/Reductions/TotalForm.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 

@@ -11,8 +11,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Lowering.h"
-#include "TotalForm.h"
+#include "tai/Conversion/TaiToHost/Lowering.h"
+#include "tai/Conversion/TaiToHost/Reductions/TotalForm.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/SumOrder.h"

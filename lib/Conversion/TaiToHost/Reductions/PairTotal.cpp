@@ -11,10 +11,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Lowering.h"
 #include "PairSums.h"
-#include "TotalForm.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "tai/Conversion/TaiToHost/Lowering.h"
+#include "tai/Conversion/TaiToHost/Reductions/TotalForm.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 

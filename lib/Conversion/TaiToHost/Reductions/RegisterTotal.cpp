@@ -12,10 +12,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Lowering.h"
-#include "TotalForm.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "tai/ABI/SumModes.h"
+#include "tai/Conversion/TaiToHost/Lowering.h"
+#include "tai/Conversion/TaiToHost/Reductions/TotalForm.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 
 using namespace mlir;

@@ -10,7 +10,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "TotalForm.h"
+#include "tai/Conversion/TaiToHost/Reductions/TotalForm.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 
 using namespace mlir;

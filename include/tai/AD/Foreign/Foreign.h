@@ -1,0 +1,64 @@
+//===- Foreign.h - Functions of other compilers -----------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Differentiation handles scf, memref, arith, math and parts of vector. A
+// `func.func` with other ops is copied, and upstream passes lower the copy.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_AD_FOREIGN_FOREIGN_H
+#define TAI_AD_FOREIGN_FOREIGN_H
+
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/HelpfulPasses.h"
+
+namespace mlir::tai {
+
+/// The function to which the derivative of `function` belongs: the original of
+/// a prepared copy, and otherwise `function` itself.
+FunctionOpInterface getOriginal(FunctionOpInterface function);
+/// Removes the prepared copies.
+void erasePrepared(ModuleOp module);
+
+/// The attribute of a function whose derivative is two functions: a unit, or
+/// the names of the two functions once they are made.
+constexpr llvm::StringLiteral kSplit = "tai.split";
+/// True if the two functions have been made.
+bool isSplit(FunctionOpInterface function);
+
+/// True if the derivative of the original has other arguments and results than
+/// the derivative of its copy: values in place of memory.
+bool isWrapped(FunctionOpInterface prepared);
+/// Wraps the derivative of a prepared copy, whose arguments are memory, in a
+/// function of the original's values: tensors and numbers.
+func::FuncOp wrapDerivative(func::FuncOp original, func::FuncOp derivative,
+                            bool isForward);
+
+/// Gives a derivative the visibility and the C interface of its function.
+void takeInterface(func::FuncOp original, func::FuncOp derivative);
+
+/// Replaces accesses of memory by vectors, and some ops of vectors, by ops on
+/// single elements.
+LogicalResult lowerVectors(func::FuncOp function);
+
+/// Replaces complex numbers by their parts.
+LogicalResult splitComplex(func::FuncOp function);
+/// Replaces arithmetic of the LLVM dialect by ops of arith and math.
+void liftArithmetic(func::FuncOp function);
+
+/// Reduces memory operations to loads, stores and atomic updates of arguments
+/// and of local arrays: removes copies, views, and arrays that loops carry or
+/// branches choose. Local arrays are freed at the end of their blocks.
+LogicalResult normalizeMemory(func::FuncOp function);
+
+/// Replaces a parallel loop by serial ones.
+void serialize(scf::ParallelOp loop);
+
+} // namespace mlir::tai
+
+#endif // TAI_AD_FOREIGN_FOREIGN_H

@@ -1,0 +1,33 @@
+//===- Summaries.h - Access summaries for the runtime -----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The fields that a kernel reads, writes and accumulates: converts the results
+// of the analyses to the types of the runtime.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_KERNELS_SUMMARIES_H
+#define TAI_EXECUTIONENGINE_KERNELS_SUMMARIES_H
+
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Runtime/Launch/Runtime.h"
+
+namespace mlir::tai {
+
+/// The accesses of the kernel, and of the functions that it calls, to fields of
+/// the runtime.
+std::vector<runtime::Access> summarize(const runtime::Runtime &rt,
+                                       ModuleOp module, KernelOp kernel);
+
+/// The dependences of the kernel's stored floats on loaded floats, with or
+/// without gradients; for the fields of its summary and for its arguments.
+runtime::KernelFlows findFlows(KernelOp kernel,
+                               ArrayRef<runtime::Access> summary);
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_KERNELS_SUMMARIES_H

@@ -1,0 +1,44 @@
+//===- WarningLog.h - Warnings of a session ---------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Warnings about kernels that were compiled, or loaded from the cache.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_REPORTS_WARNINGLOG_H
+#define TAI_EXECUTIONENGINE_REPORTS_WARNINGLOG_H
+
+#include "mlir/Support/LLVM.h"
+#include "tai/CodeGen/Diagnostics.h"
+#include "llvm/ADT/StringSet.h"
+#include <functional>
+#include <mutex>
+
+namespace mlir::tai {
+
+/// Thread-safe.
+class WarningLog {
+public:
+  /// `isOfGradient`: the warning is about an adjoint or a forward-mode variant.
+  using Handler = std::function<void(const Warning &, bool isOfGradient)>;
+
+  /// A null handler prints warnings.
+  void setHandler(Handler handler);
+
+  /// Reports the warnings that have not been reported yet: a kernel is compiled
+  /// once for each of its variants.
+  void tell(ArrayRef<Warning> warnings, bool isOfGradient);
+
+private:
+  std::mutex mutex;
+  Handler handler;
+  llvm::StringSet<> told;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_REPORTS_WARNINGLOG_H
