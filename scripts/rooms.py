@@ -3,6 +3,9 @@
 A room is a folder of lib/ and the one of the same name in include/tai; those of the runtime and
 the dialects are subfolders. `ARROWS`, `RUNTIME_ARROWS` and `DIALECT_ARROWS` are the allowed
 dependencies; `--write` updates the graphs of them in docs/architecture.md.
+
+Headers of include/tai are public, headers of lib private to their folder `lib/Room/Folder`:
+decision 0068. Headers and unit tests stand in the folder of their source.
 """
 
 from __future__ import annotations
@@ -53,12 +56,13 @@ RUNTIME_ARROWS: dict[str, str] = {
     "Storage": "Sparse Text",
     "Device": "Text",
     "Profile": "Device",
-    "Queue": "Device Threads",
+    "Programs": "Device",
+    "Queue": "Device Programs Threads",
     "Mirror": "Device Profile Queue Sparse Storage Text Threads",
     "Host": "Mirror Storage Threads",
     "Launch": "Device Host Math Mirror Sparse Storage Text Threads",
     "Tape": "Host Launch Mirror Sparse Storage Text",
-    "Cuda": "Device Queue Text Threads",
+    "Cuda": "Device Text Threads",
     "Emulated": "Device Text Threads",
 }
 KNOWN_CIRCLES: set[tuple[str, str]] = set()
@@ -76,7 +80,7 @@ DIALECT_ARROWS: dict[str, str] = {
 KNOWN_SLICES: dict[str, int] = {}
 
 # Rooms whose parts (a header with its source) include each other one way only.
-PARTS_IN_ORDER = ("lib/Runtime/Tape/", "lib/Runtime/Queue/")
+PARTS_IN_ORDER = ("lib/Runtime/Tape/", "lib/Runtime/Programs/", "lib/Runtime/Queue/")
 
 
 @dataclass
@@ -210,6 +214,80 @@ def check_parts() -> list[str]:
     return problems
 
 
+def folder_of(name: str) -> tuple[str, str]:
+    """The room and the folder of a file in lib or include/tai; "" for the room's own files."""
+    parts = Path(name).parent.parts[1 if name.startswith("lib/") else 2 :]
+    return (parts[0] if parts else ""), (parts[1] if len(parts) > 1 else "")
+
+
+def check_private(name: str, text: str) -> list[str]:
+    """Private headers that a file includes and may not: see decision 0068."""
+    room, folder = folder_of(name)
+    problems = []
+    for target in included(name, text):
+        if not target.startswith("lib/"):
+            continue
+        other, owner = folder_of(target)
+        if not name.startswith("lib/"):
+            problems.append(f"{name} is public and includes the private {target}")
+        elif room != other or (folder and owner and folder != owner):
+            problems.append(
+                f"{name} includes {target}, which is private to its folder: move it to include/tai"
+            )
+    return problems
+
+
+def check_mirrors(names: list[str]) -> list[str]:
+    """Public headers whose source stands in another folder of the room."""
+    places: dict[tuple[str, str], set[str]] = defaultdict(set)
+    for name in names:
+        if name.endswith(".cpp"):
+            places[folder_of(name)[0], Path(name).stem].add(str(Path(name).parent)[len("lib/") :])
+    problems = []
+    for name in names:
+        room = folder_of(name)[0]
+        if room and name.startswith("include/tai/") and name.endswith(".h"):
+            sources_of = places[room, Path(name).stem]
+            folder = str(Path(name).parent)[len("include/tai/") :]
+            if sources_of and folder not in sources_of:
+                problems.append(f"{name}: its source is in lib/{min(sources_of)}")
+    return problems
+
+
+# Folders of test/unit that mirror no room: helpers, and libraries for tests.
+HELPERS = ("Utils", "FakeCuda", "FakeNvtx")
+
+
+def check_unit_tests(names: list[str]) -> list[str]:
+    """Unit tests whose folder is none of lib or include/tai, and sources not named XTest.cpp."""
+    problems = []
+    for name in names:
+        folder = str(Path(name).parent)[len("test/unit") :].lstrip("/")
+        if folder.split("/")[0] in HELPERS or not name.endswith((".cpp", ".h")):
+            continue
+        if (
+            not any((ROOT / base / folder).is_dir() for base in ("lib", "include/tai"))
+            or not folder
+        ):
+            problems.append(f"{name}: there is no folder lib/{folder}")
+        if name.endswith(".cpp") and not name.endswith("Test.cpp"):
+            problems.append(f"{name}: its name does not end with Test.cpp")
+    return problems
+
+
+def check_headers() -> list[str]:
+    problems = []
+    for name in sources():
+        if name.endswith((".cpp", ".h", ".cu", ".def")):
+            problems += check_private(name, (ROOT / name).read_text())
+    tests = (ROOT / "test/unit").rglob("*")
+    return (
+        problems
+        + check_mirrors(sources())
+        + check_unit_tests(sorted(str(path.relative_to(ROOT)) for path in tests))
+    )
+
+
 def check_crowds() -> list[str]:
     counts: dict[str, int] = defaultdict(int)
     for name in sources():
@@ -259,7 +337,7 @@ def check() -> list[str]:
     problems = check_arrows(ARROWS, read_graph(), set())
     problems += check_arrows(RUNTIME_ARROWS, read_graph(within="Runtime"), KNOWN_CIRCLES)
     problems += check_arrows(DIALECT_ARROWS, read_graph(within="Dialect"), set())
-    problems += check_slices() + check_crowds() + check_parts()
+    problems += check_slices() + check_crowds() + check_parts() + check_headers()
     text = PAGE.read_text()
     problems += check_paths(text)
     if page(text) != text:

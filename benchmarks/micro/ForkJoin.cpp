@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../lib/Runtime/Threads/WorkerPool.h"
+#include "tai/Runtime/Threads/WorkerPool.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdio>

@@ -9,7 +9,7 @@
 #define TAI_LIB_CODEGEN_DEVICE_TILEBUILDER_H
 
 #include "mlir/Support/LLVM.h"
-#include "tai/Runtime/Queue/ProgramTiles.h"
+#include "tai/Runtime/Programs/ProgramTiles.h"
 #include "llvm/IR/IRBuilder.h"
 
 namespace mlir::tai {

@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 
 #include "CudaDevice.h"
-#include "../Queue/FillRun.h"
-#include "../Text/Format.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
 #include "tai/Runtime/Device/DeviceReport.h"
+#include "tai/Runtime/Device/FillRun.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <atomic>
 #include <cstdio>

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Threads/PollPause.h"
 #include "CudaDevice.h"
+#include "tai/Runtime/Threads/PollPause.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <chrono>

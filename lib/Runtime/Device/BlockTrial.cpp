@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "BlockTrial.h"
+#include "tai/Runtime/Device/BlockTrial.h"
 #include <limits>
 
 using namespace mlir::tai::runtime;

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Device/DeviceReport.h"
-#include "../Text/Format.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <cstring>
 

@@ -14,10 +14,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Text/Format.h"
 #include "EmulatedThreads.h"
 #include "tai/ABI/DeviceAbi.h"
 #include "tai/Runtime/Device/Device.h"
+#include "tai/Runtime/Text/Format.h"
 #include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <atomic>

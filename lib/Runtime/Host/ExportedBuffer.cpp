@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Host/ExportedBuffer.h"
-#include "../Mirror/Mirror.h"
-#include "../Storage/Scalars.h"
+#include "tai/Runtime/Mirror/Mirror.h"
+#include "tai/Runtime/Storage/Scalars.h"
 
 using namespace mlir::tai::runtime;
 

@@ -13,8 +13,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Host/FieldCopies.h"
-#include "../Mirror/Mirror.h"
-#include "../Storage/Scalars.h"
+#include "tai/Runtime/Mirror/Mirror.h"
+#include "tai/Runtime/Storage/Scalars.h"
 #include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <array>

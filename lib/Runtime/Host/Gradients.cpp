@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Host/Gradients.h"
-#include "../Mirror/OwedZeros.h"
+#include "tai/Runtime/Mirror/OwedZeros.h"
 #include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 

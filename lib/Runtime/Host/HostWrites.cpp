@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Host/HostWrites.h"
-#include "../Mirror/Slabs.h"
-#include "../Storage/Scalars.h"
-#include "HostWrite.h"
+#include "tai/Runtime/Host/HostWrite.h"
+#include "tai/Runtime/Mirror/Slabs.h"
+#include "tai/Runtime/Storage/Scalars.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <cstring>

@@ -10,9 +10,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Mirror/CellElements.h"
-#include "../Mirror/Mirror.h"
 #include "tai/Runtime/Host/FieldCopies.h"
+#include "tai/Runtime/Mirror/CellElements.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
 #include <cstring>
 

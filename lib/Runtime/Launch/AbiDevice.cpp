@@ -10,10 +10,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Device/BlockTrial.h"
-#include "../Mirror/Mirror.h"
-#include "Launch.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Runtime/Device/BlockTrial.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
 #include <cstring>
 

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Launch.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/ShadowLog.h"
 #include <array>
 #include <cmath>

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Mirror/Mirror.h"
-#include "Launch.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;

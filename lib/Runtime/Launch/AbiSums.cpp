@@ -11,11 +11,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Storage/Scalars.h"
-#include "Launch.h"
 #include "tai/ABI/Abi.h"
 #include "tai/ABI/SumModes.h"
+#include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/ShadowLog.h"
+#include "tai/Runtime/Storage/Scalars.h"
 #include "tai/Runtime/Threads/FixedParts.h"
 #include <algorithm>
 #include <cmath>

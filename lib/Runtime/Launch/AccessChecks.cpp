@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Launch/AccessChecks.h"
-#include "Launch.h"
+#include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/Runtime.h"
 #include <algorithm>
 #include <limits>

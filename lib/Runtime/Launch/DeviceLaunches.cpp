@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Launch/DeviceLaunches.h"
-#include "../Device/BlockTrial.h"
-#include "../Mirror/Mirror.h"
-#include "Launch.h"
+#include "tai/Runtime/Device/BlockTrial.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;

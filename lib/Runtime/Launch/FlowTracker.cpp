@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "FlowTracker.h"
+#include "tai/Runtime/Launch/FlowTracker.h"
 #include <algorithm>
 #include <cstring>
 #include <numeric>

@@ -9,7 +9,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Launch.h"
+#include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <cstring>

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Mirror/CellElements.h"
-#include "../Mirror/DeviceCells.h"
-#include "Launch.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Mirror/CellElements.h"
+#include "tai/Runtime/Mirror/DeviceCells.h"
 #include <algorithm>
 #include <array>
 #include <iterator>

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Launch/Launcher.h"
-#include "Launch.h"
 #include "TangentFlows.h"
 #include "tai/Runtime/Host/ExportedBuffer.h"
+#include "tai/Runtime/Launch/Launch.h"
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;

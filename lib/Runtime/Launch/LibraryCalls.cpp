@@ -13,8 +13,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Storage/Scalars.h"
 #include "tai/Runtime/Launch/Runtime.h"
+#include "tai/Runtime/Storage/Scalars.h"
 
 #include <cmath>
 #include <cstring>

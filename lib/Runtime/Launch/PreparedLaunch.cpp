@@ -13,9 +13,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Mirror/Mirror.h"
-#include "Launch.h"
+#include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/Launcher.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
 #include <tuple>
 

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Launch/RunningLaunches.h"
-#include "../Threads/WorkerPool.h"
-#include "Launch.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Threads/WorkerPool.h"
 #include <linux/membarrier.h>
 #include <sys/syscall.h>
 #include <unistd.h>

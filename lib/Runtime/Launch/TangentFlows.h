@@ -12,8 +12,8 @@
 #ifndef TAI_LIB_RUNTIME_LAUNCH_TANGENTFLOWS_H
 #define TAI_LIB_RUNTIME_LAUNCH_TANGENTFLOWS_H
 
-#include "FlowTracker.h"
 #include "tai/Runtime/Host/HostWrites.h"
+#include "tai/Runtime/Launch/FlowTracker.h"
 #include <mutex>
 
 namespace mlir::tai::runtime {

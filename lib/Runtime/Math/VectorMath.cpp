@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "VectorMath.h"
+#include "tai/Runtime/Math/VectorMath.h"
 
 using namespace mlir::tai::runtime;
 

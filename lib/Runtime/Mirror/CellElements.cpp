@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "CellElements.h"
+#include "tai/Runtime/Mirror/CellElements.h"
 #include <algorithm>
 #include <cstring>
 

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "CellMover.h"
-#include "Mirror.h"
+#include "tai/Runtime/Mirror/CellMover.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
 #include <cstring>
 

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "DeviceContext.h"
-#include "../Text/Format.h"
+#include "tai/Runtime/Mirror/DeviceContext.h"
 #include "tai/Runtime/Device/DeviceReport.h"
+#include "tai/Runtime/Text/Format.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <cstddef>

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Mirror/DeviceHost.h"
-#include "Mirror.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;

@@ -12,8 +12,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "DeviceLists.h"
-#include "Mirror.h"
+#include "tai/Runtime/Mirror/DeviceLists.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
 
 using namespace mlir::tai;

@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "DeviceWatch.h"
+#include "tai/Runtime/Mirror/DeviceWatch.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;

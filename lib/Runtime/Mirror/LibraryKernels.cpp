@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "LibraryKernels.h"
+#include "tai/Runtime/Mirror/LibraryKernels.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;

@@ -10,10 +10,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Mirror.h"
-#include "../Storage/Scalars.h"
-#include "OwedZeros.h"
-#include "Slabs.h"
+#include "tai/Runtime/Mirror/Mirror.h"
+#include "tai/Runtime/Mirror/OwedZeros.h"
+#include "tai/Runtime/Mirror/Slabs.h"
+#include "tai/Runtime/Storage/Scalars.h"
 #include <algorithm>
 #include <cstring>
 

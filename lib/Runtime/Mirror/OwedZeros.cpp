@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "OwedZeros.h"
-#include "Slabs.h"
+#include "tai/Runtime/Mirror/OwedZeros.h"
+#include "tai/Runtime/Mirror/Slabs.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;

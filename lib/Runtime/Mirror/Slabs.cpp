@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Slabs.h"
-#include "../Storage/Scalars.h"
-#include "Mirror.h"
+#include "tai/Runtime/Mirror/Slabs.h"
+#include "tai/Runtime/Mirror/Mirror.h"
+#include "tai/Runtime/Storage/Scalars.h"
 #include <algorithm>
 #include <cstring>
 #include <iterator>

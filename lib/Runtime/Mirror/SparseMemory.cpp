@@ -16,8 +16,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Text/Format.h"
-#include "Mirror.h"
+#include "tai/Runtime/Mirror/Mirror.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <cstddef>
 

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "SparseMirror.h"
-#include "../Text/Format.h"
-#include "CellElements.h"
-#include "CellMover.h"
-#include "Mirror.h"
+#include "tai/Runtime/Mirror/SparseMirror.h"
+#include "tai/Runtime/Mirror/CellElements.h"
+#include "tai/Runtime/Mirror/CellMover.h"
+#include "tai/Runtime/Mirror/Mirror.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <cstddef>
 #include <cstring>

@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Nvtx.h"
+#include "tai/Runtime/Profile/Nvtx.h"
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>

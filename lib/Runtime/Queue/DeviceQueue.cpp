@@ -5,16 +5,18 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "DeviceProgram.h"
+#include "tai/Runtime/Queue/DeviceQueue.h"
 #include "RecordedLaunches.h"
 #include "SequencePrefixes.h"
 #include "tai/ABI/DeviceAbi.h"
+#include "tai/Runtime/Programs/DeviceProgram.h"
 #include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <cstring>
 #include <utility>
 
 using namespace mlir::tai::runtime;
+using namespace mlir::tai::runtime::programs;
 
 DeviceQueue::DeviceQueue(std::unique_ptr<Device> device, Device *unwatched)
     : device(std::move(device)), unwatched(unwatched),
@@ -27,7 +29,7 @@ DeviceQueue::DeviceQueue(std::unique_ptr<Device> device, Device *unwatched)
 
 DeviceQueue::~DeviceQueue() {
   (void)flush();
-  programs.clear();
+  known.clear();
 }
 
 //===----------------------------------------------------------------------===//
@@ -37,7 +39,7 @@ DeviceQueue::~DeviceQueue() {
 Status DeviceQueue::load(const DeviceImage &image,
                          std::unique_ptr<DeviceModule> &module) {
   auto made = std::make_unique<Module>();
-  made->queue = this;
+  made->whenGone = [this](Module &module) { forget(module); };
   made->bitcode = image.bitcode;
   made->key = image.key;
   for (size_t i = 0; i < image.accesses.size(); ++i)
@@ -249,12 +251,11 @@ void DeviceQueue::free(DevicePtr memory) {
 // Sequences
 //===----------------------------------------------------------------------===//
 
-DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
-                                               bool &same) {
-  auto range = programs.equal_range(sequence.hash);
+DeviceProgram *DeviceQueue::findProgram(Sequence &&sequence, bool &same) {
+  auto range = known.equal_range(sequence.hash);
   for (auto it = range.first; it != range.second; ++it)
     if (it->second->sequence.hasStructureOf(sequence)) {
-      Program &program = *it->second;
+      DeviceProgram &program = *it->second;
       same = program.sequence.slots == sequence.slots;
       if (!same)
         program.sequence = std::move(sequence);
@@ -262,14 +263,15 @@ DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
     }
   // A limit, since sequences that are never repeated get programs, too.
   constexpr size_t mostPrograms = 64;
-  if (programs.size() >= mostPrograms)
-    programs.clear();
+  if (known.size() >= mostPrograms)
+    known.clear();
   // If memory runs out, no program is made and `sequence` keeps its steps.
-  auto added = programs.emplace(sequence.hash, nullptr);
+  auto added = known.emplace(sequence.hash, nullptr);
   try {
-    added->second = std::make_unique<Program>(*device, std::move(sequence));
+    added->second =
+        std::make_unique<DeviceProgram>(*device, std::move(sequence));
   } catch (const std::bad_alloc &) {
-    programs.erase(added);
+    known.erase(added);
     throw;
   }
   same = false;
@@ -335,7 +337,7 @@ Status DeviceQueue::runCollected(bool isWhole) {
     for (const Sequence *part : {&before, &sequence})
       try {
         if (status)
-          status = StepRunner::runAlone(*device, *part);
+          status = part->run(*device);
       } catch (const std::bad_alloc &) {
         isOutOfMemory = true;
       }
@@ -343,7 +345,7 @@ Status DeviceQueue::runCollected(bool isWhole) {
       throw std::bad_alloc();
   } else {
     bool same = false;
-    Program *program = nullptr;
+    DeviceProgram *program = nullptr;
     try {
       program = findProgram(std::move(sequence), same);
     } catch (const std::bad_alloc &) {
@@ -355,9 +357,9 @@ Status DeviceQueue::runCollected(bool isWhole) {
       status = program->run(before, same, mode,
                             {makeProgram, startProgram, choices});
     } else {
-      status = StepRunner::runAlone(*device, before);
+      status = before.run(*device);
       if (status)
-        status = StepRunner::runAlone(*device, sequence);
+        status = sequence.run(*device);
     }
     collection.hasProgram = program && program->isPrepared();
     if (program && recorded->hasRun()) {
@@ -374,44 +376,7 @@ Status DeviceQueue::runCollected(bool isWhole) {
 
 std::string DeviceQueue::explain() const {
   std::string text;
-  for (const auto &[hash, program] : programs)
+  for (const auto &[hash, program] : known)
     text += program->explain() + "\n";
   return text + prefixes->explain() + recorded->explain();
 }
-
-//===----------------------------------------------------------------------===//
-// Default operations, for devices without graphs or events
-//===----------------------------------------------------------------------===//
-
-static Status hasNoGraphs() {
-  return Status::failure(StatusCode::Internal, "this device has no graphs");
-}
-
-Status Device::reserve(int64_t, DevicePtr &) {
-  return Status::failure(StatusCode::Internal,
-                         "this device does not reserve memory");
-}
-
-Status Device::beginCapture(size_t, bool) { return hasNoGraphs(); }
-Status Device::endCapture(std::unique_ptr<DeviceGraph> &) {
-  return hasNoGraphs();
-}
-Status Device::run(DeviceGraph &) { return hasNoGraphs(); }
-Status Device::change(DeviceGraph &, size_t, DeviceFunction &,
-                      const LaunchShape &, const uint64_t *, int) {
-  return hasNoGraphs();
-}
-
-static Status hasNoEvents() {
-  return Status::failure(StatusCode::Internal, "this device has no events");
-}
-
-Status Device::record(std::unique_ptr<DeviceEvent> &) { return hasNoEvents(); }
-Status Device::wait(DeviceEvent &) { return hasNoEvents(); }
-Status Device::elapsed(const DeviceEvent &, const DeviceEvent &, int64_t &) {
-  return hasNoEvents();
-}
-
-// By default, a device has no other streams, and nothing to wait for.
-Status Device::waitForStream(uint64_t) { return Status::success(); }
-Status Device::letStreamWait(uint64_t) { return Status::success(); }

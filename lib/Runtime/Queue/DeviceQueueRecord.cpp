@@ -13,12 +13,14 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "DeviceProgram.h"
 #include "RecordedLaunches.h"
 #include "SequencePrefixes.h"
+#include "tai/Runtime/Programs/DeviceProgram.h"
+#include "tai/Runtime/Queue/DeviceQueue.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
+using namespace mlir::tai::runtime::programs;
 
 //===----------------------------------------------------------------------===//
 // Replays and sweeps
@@ -203,7 +205,7 @@ bool DeviceQueue::keep(Function &function, const LaunchShape &shape,
 Status DeviceQueue::runPrefix() {
   Sequence before = std::move(*prefix);
   *prefix = Sequence();
-  return StepRunner::runAlone(*device, before);
+  return before.run(*device);
 }
 
 //===----------------------------------------------------------------------===//
@@ -244,7 +246,7 @@ Status DeviceQueue::reserve(int64_t bytes, DevicePtr &memory) {
 void DeviceQueue::forget(Module &module) {
   if (!checkHandler()) {
     auto kept = std::make_unique<Module>();
-    kept->queue = this;
+    kept->whenGone = [this](Module &module) { forget(module); };
     kept->module = std::move(module.module);
     kept->functions = std::move(module.functions);
     retired.push_back(std::move(kept));
@@ -252,8 +254,8 @@ void DeviceQueue::forget(Module &module) {
   }
   (void)settle();
   // Programs refer to functions by addresses that later functions can get.
-  for (auto program = programs.begin(); program != programs.end();)
-    program = program->second->uses(module) ? programs.erase(program)
+  for (auto program = known.begin(); program != known.end();)
+    program = program->second->uses(module) ? known.erase(program)
                                             : std::next(program);
   recorded->forget(
       [&](const DeviceFunction *function) { return module.has(function); });

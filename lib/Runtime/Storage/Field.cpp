@@ -10,7 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Storage/Field.h"
-#include "Scalars.h"
+#include "tai/Runtime/Storage/Scalars.h"
 
 using namespace mlir::tai::runtime;
 

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Storage/MemoryAccount.h"
-#include "../Text/Format.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <cstdio>
 #include <unistd.h>

@@ -10,7 +10,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Scalars.h"
+#include "tai/Runtime/Storage/Scalars.h"
 #include <algorithm>
 #include <cmath>
 #include <cstring>

@@ -10,8 +10,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Text/Format.h"
 #include "tai/Runtime/Storage/TreeStore.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <sys/mman.h>
 #include <unistd.h>

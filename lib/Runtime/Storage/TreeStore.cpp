@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Storage/TreeStore.h"
-#include "../Text/Format.h"
-#include "Scalars.h"
+#include "tai/Runtime/Storage/Scalars.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <sys/mman.h>
 #include <unistd.h>

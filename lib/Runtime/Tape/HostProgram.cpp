@@ -12,9 +12,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Tape/HostProgram.h"
-#include "../Launch/Launch.h"
-#include "../Storage/Scalars.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Storage/Scalars.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include "tai/Support/Philox.h"
 #include <algorithm>

@@ -9,8 +9,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Mirror/OwedZeros.h"
 #include "TapeParts.h"
+#include "tai/Runtime/Mirror/OwedZeros.h"
 #include <algorithm>
 #include <new>
 

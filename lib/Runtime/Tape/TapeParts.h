@@ -8,12 +8,12 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_TAPEPARTS_H
 #define TAI_LIB_RUNTIME_TAPE_TAPEPARTS_H
 
-#include "ChangeWatch.h"
-#include "DirectReplay.h"
-#include "ForwardReplay.h"
-#include "LostGradients.h"
-#include "Rematerialiser.h"
-#include "SweepSeeds.h"
+#include "Record/LostGradients.h"
+#include "Replay/ChangeWatch.h"
+#include "Replay/DirectReplay.h"
+#include "Replay/ForwardReplay.h"
+#include "Sweep/Rematerialiser.h"
+#include "Sweep/SweepSeeds.h"
 #include "TapeReport.h"
 #include "tai/Runtime/Launch/AccessChecks.h"
 #include "tai/Runtime/Tape/Tape.h"

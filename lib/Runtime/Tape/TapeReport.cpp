@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapeReport.h"
-#include "../Text/Format.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;

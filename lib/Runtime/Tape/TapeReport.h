@@ -8,7 +8,7 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_TAPEREPORT_H
 #define TAI_LIB_RUNTIME_TAPE_TAPEREPORT_H
 
-#include "Rematerialiser.h"
+#include "Sweep/Rematerialiser.h"
 
 namespace mlir::tai::runtime {
 

@@ -13,10 +13,10 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_TAPESERVICES_H
 #define TAI_LIB_RUNTIME_TAPE_TAPESERVICES_H
 
-#include "../Host/HostWrite.h"
-#include "../Launch/Launch.h"
-#include "../Launch/TapedKernel.h"
-#include "../Mirror/DeviceContext.h"
+#include "tai/Runtime/Host/HostWrite.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Launch/TapedKernel.h"
+#include "tai/Runtime/Mirror/DeviceContext.h"
 #include "tai/Runtime/Tape/Tape.h"
 
 namespace mlir::tai::runtime {

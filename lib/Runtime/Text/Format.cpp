@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Format.h"
+#include "tai/Runtime/Text/Format.h"
 #include "FormatSpec.h"
 #include "tai/ABI/Abi.h"
 #include <algorithm>

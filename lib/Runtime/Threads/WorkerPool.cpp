@@ -9,8 +9,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "WorkerPool.h"
-#include "PollPause.h"
+#include "tai/Runtime/Threads/WorkerPool.h"
+#include "tai/Runtime/Threads/PollPause.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <chrono>

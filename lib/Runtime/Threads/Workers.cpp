@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Threads/Workers.h"
-#include "WorkerPool.h"
 #include "tai/Runtime/Threads/FixedParts.h"
+#include "tai/Runtime/Threads/WorkerPool.h"
 #include <new>
 
 using namespace mlir::tai::runtime;

@@ -59,3 +59,58 @@ def test_a_file_that_the_page_names_must_be_there():
     assert rooms.check_paths("`lib/AD/Rules/ScalarRules.cpp`, `Sparse.cpp`, `loops.py`") == []
     (problem,) = rooms.check_paths("how: `lib/AD/Rules/NoRules.cpp`")
     assert "no file 'lib/AD/Rules/NoRules.cpp'" in problem
+
+
+@pytest.fixture
+def tree(tmp_path, monkeypatch):
+    """An empty project, and a function that writes a file of it."""
+    monkeypatch.setattr(rooms, "ROOT", tmp_path)
+
+    def write(name, text=""):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        return rooms.check_private(name, text)
+
+    return write
+
+
+def test_a_private_header_serves_its_folder(tree):
+    for name in ("lib/AD/Own.h", "lib/AD/Rules/A.h", "lib/AD/Rules/Below/B.h"):
+        tree(name)
+    assert tree("lib/AD/Rules/A.cpp", '#include "A.h"\n#include "Below/B.h"\n') == []
+    assert tree("lib/AD/Rules/Below/B.cpp", '#include "B.h"\n#include "../A.h"\n') == []
+    assert tree("lib/AD/All.cpp", '#include "Own.h"\n#include "Rules/A.h"\n') == []
+    assert tree("lib/AD/Reverse/C.cpp", '#include "../Own.h"\n') == []
+
+
+def test_a_private_header_of_another_folder_is_named(tree):
+    tree("lib/AD/Rules/A.h")
+    (problem,) = tree("lib/AD/Reverse/C.cpp", '#include "../Rules/A.h"\n')
+    assert "lib/AD/Reverse/C.cpp includes lib/AD/Rules/A.h, which is private" in problem
+    (problem,) = tree("lib/CodeGen/D.cpp", '#include "../AD/Rules/A.h"\n')
+    assert "which is private to its folder" in problem
+
+
+def test_a_public_header_includes_no_private_one(tree):
+    tree("lib/AD/Rules/A.h")
+    (problem,) = tree("include/tai/AD/P.h", '#include "../../../lib/AD/Rules/A.h"\n')
+    assert problem == "include/tai/AD/P.h is public and includes the private lib/AD/Rules/A.h"
+
+
+def test_a_header_stands_in_the_folder_of_its_source():
+    source = "lib/AD/Rules/A.cpp"
+    assert (
+        rooms.check_mirrors([source, "include/tai/AD/Rules/A.h", "include/tai/AD/Passes.h"]) == []
+    )
+    (problem,) = rooms.check_mirrors([source, "include/tai/AD/A.h"])
+    assert problem == "include/tai/AD/A.h: its source is in lib/AD/Rules"
+    assert rooms.check_mirrors([source, "include/tai/CodeGen/A.h"]) == []
+
+
+def test_unit_tests_have_the_folder_and_the_name_of_their_subject():
+    assert rooms.check_unit_tests(["test/unit/AD/Rules/ATest.cpp", "test/unit/Utils/B.h"]) == []
+    (problem,) = rooms.check_unit_tests(["test/unit/Cellar/ATest.cpp"])
+    assert problem == "test/unit/Cellar/ATest.cpp: there is no folder lib/Cellar"
+    (problem,) = rooms.check_unit_tests(["test/unit/AD/Rules/RulesA.cpp"])
+    assert "does not end with Test.cpp" in problem

@@ -23,7 +23,7 @@
 
 #include "mlir/IR/Operation.h"
 #include "tai/CodeGen/ObjectCompiler.h"
-#include "tai/Runtime/Queue/DeviceQueue.h"
+#include "tai/Runtime/Programs/ProgramPlan.h"
 #include "llvm/ADT/ArrayRef.h"
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"

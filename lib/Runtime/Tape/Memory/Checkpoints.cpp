@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "Checkpoints.h"
-#include "../../Launch/Launch.h"
-#include "../../Text/Format.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <limits>
 #include <new>

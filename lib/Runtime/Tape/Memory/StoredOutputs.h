@@ -15,7 +15,7 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDOUTPUTS_H
 #define TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDOUTPUTS_H
 
-#include "../../Mirror/Slabs.h"
+#include "tai/Runtime/Mirror/Slabs.h"
 #include <algorithm>
 
 namespace mlir::tai::runtime {

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapeMemory.h"
-#include "../../Mirror/Mirror.h"
 #include "../TapeServices.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
 #include <cstring>
 #include <set>

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapeTopology.h"
-#include "../../Launch/Launch.h"
-#include "../../Mirror/CellMover.h"
-#include "../../Mirror/Mirror.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Mirror/CellMover.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
 #include <iterator>
 

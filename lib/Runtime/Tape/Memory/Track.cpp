@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "Track.h"
-#include "../../Launch/Launch.h"
-#include "../../Mirror/Mirror.h"
-#include "../../Text/Format.h"
+#include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Mirror/Mirror.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <new>
 #include <numeric>

@@ -16,10 +16,10 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_TRACK_H
 #define TAI_LIB_RUNTIME_TAPE_MEMORY_TRACK_H
 
-#include "../../Mirror/DeviceContext.h"
-#include "../../Mirror/Slabs.h"
 #include "StoredOutputs.h"
 #include "tai/Runtime/Launch/Runtime.h"
+#include "tai/Runtime/Mirror/DeviceContext.h"
+#include "tai/Runtime/Mirror/Slabs.h"
 #include <algorithm>
 #include <optional>
 

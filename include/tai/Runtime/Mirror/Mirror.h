@@ -1,0 +1,141 @@
+//===- Mirror.h - The memory of a tree on a device --------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A tree has memory on the host and, from its first use there, on the device.
+// At least one of them is current. Launches make the device current, and writes
+// there make the host stale; a host access copies the tree back, or only the
+// accessed elements.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_MIRROR_MIRROR_H
+#define TAI_RUNTIME_MIRROR_MIRROR_H
+
+#include "tai/Runtime/Mirror/DeviceContext.h"
+#include "tai/Runtime/Mirror/SparseMirror.h"
+#include "tai/Runtime/Storage/Field.h"
+#include "tai/Runtime/Threads/Section.h"
+#include <optional>
+
+namespace mlir::tai::runtime {
+
+class Mirror {
+public:
+  Mirror(std::shared_ptr<DeviceContext> context, Tree &tree)
+      : deviceContext(std::move(context)), tree(tree),
+        sparseTree(tree.sparseNodes().empty()
+                       ? nullptr
+                       : std::make_unique<SparseMirror>(*deviceContext, tree)) {
+  }
+  ~Mirror();
+
+  DeviceContext &context() const { return *deviceContext; }
+  const std::shared_ptr<DeviceContext> &sharedContext() const {
+    return deviceContext;
+  }
+  Tree &getTree() const { return tree; }
+  /// The part of the mirror for sparse levels; null for a tree without them.
+  SparseMirror *sparse() const { return sparseTree.get(); }
+  Device &device() const { return deviceContext->get(); }
+  bool onHost() const { return hostCurrent.load(std::memory_order_acquire); }
+  bool onDevice() const {
+    return deviceCurrent.load(std::memory_order_acquire);
+  }
+
+  /// Makes the memory of the host current.
+  Status toHost() { return onHost() ? Status::success() : download(); }
+  /// Marks the device as stale, before the host writes; the host must be
+  /// current.
+  void hostWrites() {
+    hostCurrent.store(true, std::memory_order_relaxed);
+    deviceCurrent.store(false, std::memory_order_relaxed);
+    pristine = false;
+    ++changes;
+  }
+  /// Gets the tree's device memory, allocated if necessary and possibly stale.
+  Status allocate(DevicePtr &address);
+  /// Makes the memory of the device current.
+  Status toDevice() { return onDevice() ? Status::success() : upload(); }
+  /// Marks the host as stale, after work that writes was queued.
+  void deviceWrites() {
+    hostCurrent.store(false, std::memory_order_relaxed);
+    reads = writes = 0;
+    pristine.store(false, std::memory_order_relaxed);
+    ++changes;
+  }
+
+  /// Other libraries have the tree's device address, and may write there at any
+  /// time: the host's copy is then always stale.
+  bool isExported() const {
+    return exports.load(std::memory_order_relaxed) > 0;
+  }
+  /// Notes that a library gets the device address; the device must be current.
+  void addExport() {
+    exports.fetch_add(1, std::memory_order_relaxed);
+    deviceWrites();
+    context().note(context().queue().share());
+  }
+  void removeExport() {
+    exports.fetch_sub(1, std::memory_order_relaxed);
+    context().queue().unshare();
+  }
+
+  /// Read or write a few bytes of the tree, on the host or the device,
+  /// whichever is cheaper.
+  Status read(int64_t offset, void *to, int64_t bytes);
+  Status write(int64_t offset, const void *from, int64_t bytes);
+
+  /// Copies a whole field to an array of the host, or fills it, on the device.
+  /// False if that is better done on the host. A handler may destroy the tree
+  /// in the middle of a copy, so the caller shares the mirror.
+  bool copyOut(const Field &field, void *array);
+  bool fill(const Field &field, const void *scalarBytes);
+  /// Copies an array of the host to the field on the device. No value if the
+  /// host should do all of the copy instead; false if the host has interrupted
+  /// it, which needs `canStop`. Handlers run during the copy, whatever
+  /// `canStop` is.
+  std::optional<bool> copyIn(const Field &field, const void *array,
+                             bool canStop);
+
+  /// Elements [first, first + count) of a field with a uniform stride, as rows
+  /// in the device memory, which must be allocated.
+  DeviceRows rows(const Field &field, int64_t first, int64_t count) const {
+    int64_t bytes = field.numComponents() * byteSize(field.scalar());
+    int64_t step = field.evenStep();
+    DevicePtr address = at(field.layout().placeOffset + first * step);
+    if (step == bytes)
+      return {address, 0, count * bytes, 1};
+    return {address, step, bytes, count};
+  }
+  /// The device address of the byte at `offset` in the tree; device memory must
+  /// be allocated.
+  DevicePtr at(int64_t offset) const {
+    return memory + static_cast<DevicePtr>(offset);
+  }
+
+private:
+  Status download();
+  Status upload();
+
+  std::shared_ptr<DeviceContext> deviceContext;
+  Tree &tree;
+  std::unique_ptr<SparseMirror> sparseTree;
+  Section moving;
+  std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
+  std::atomic<int> exports{0};
+  /// True until the tree is first written: it holds zeros.
+  std::atomic<bool> pristine{true};
+  /// Single elements read and written since the last launch.
+  int64_t reads = 0, writes = 0;
+  /// Counts writes on either side, so that a copy notices a handler's writes.
+  uint64_t changes = 0;
+  DevicePtr memory = 0;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_MIRROR_MIRROR_H
