@@ -275,17 +275,26 @@ def check_unit_tests(names: list[str]) -> list[str]:
     return problems
 
 
+def check_lit_tests(names: list[str]) -> list[str]:
+    """Folders of lit tests of a room that mirror none of its folders."""
+    folders = {Path(name).parent for name in names if name.endswith((".mlir", ".test"))}
+    return [
+        f"{folder}: there is no folder lib/{folder.relative_to('test')}"
+        for folder in sorted(folders)
+        if folder.name != "Inputs"
+        and (ROOT / "lib" / folder.relative_to("test").parts[0]).is_dir()
+        and not (ROOT / "lib" / folder.relative_to("test")).is_dir()
+    ]
+
+
 def check_headers() -> list[str]:
     problems = []
     for name in sources():
         if name.endswith((".cpp", ".h", ".cu", ".def")):
             problems += check_private(name, (ROOT / name).read_text())
-    tests = (ROOT / "test/unit").rglob("*")
-    return (
-        problems
-        + check_mirrors(sources())
-        + check_unit_tests(sorted(str(path.relative_to(ROOT)) for path in tests))
-    )
+    tests = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "test").glob("*/*/**/*.*"))
+    units = [name for name in tests if name.startswith("test/unit/")]
+    return problems + check_mirrors(sources()) + check_unit_tests(units) + check_lit_tests(tests)
 
 
 def check_crowds() -> list[str]:

@@ -114,3 +114,10 @@ def test_unit_tests_have_the_folder_and_the_name_of_their_subject():
     assert problem == "test/unit/Cellar/ATest.cpp: there is no folder lib/Cellar"
     (problem,) = rooms.check_unit_tests(["test/unit/AD/Rules/RulesA.cpp"])
     assert "does not end with Test.cpp" in problem
+
+
+def test_lit_tests_have_the_folder_of_their_subject():
+    names = ["test/AD/Rules/a.mlir", "test/AD/Foreign/Inputs/b.mlir", "test/Tools/c.test"]
+    assert rooms.check_lit_tests(names) == []
+    (problem,) = rooms.check_lit_tests(["test/AD/Cellar/a.mlir"])
+    assert problem == "test/AD/Cellar: there is no folder lib/AD/Cellar"
