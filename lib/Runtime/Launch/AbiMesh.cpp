@@ -9,8 +9,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Launch.h"
 #include "tai/ABI/MeshAbi.h"
+#include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/Mesh.h"
 #include <algorithm>
 
