@@ -76,14 +76,14 @@ TAI_EXPORT const char *taiLLVMVersion(void);
 TAI_EXPORT TaiContext taiContextCreate(void);
 TAI_EXPORT void taiContextDestroy(TaiContext context);
 
-/// One option: its name, its initial value, a description of valid values, and
-/// its purpose.
+/// Describes one option of a context: its name, its initial value, a
+/// description of valid values, and its purpose.
 typedef struct TaiOptionRow {
   const char *name, *initial, *expects, *about;
 } TaiOptionRow;
 
-/// All options of taiContextSetOption; returns their number. The rows are
-/// static.
+/// Returns all options of taiContextSetOption, and their number. The array of
+/// options is static.
 TAI_EXPORT int64_t taiListOptions(const TaiOptionRow **rows);
 
 /// Sets an option from text. An unknown name or value is TAI_ERROR_USAGE, with
@@ -123,7 +123,7 @@ TAI_EXPORT TaiError taiContextLastError(TaiContext context);
 /// runs would use destroyed data of its libraries.
 TAI_EXPORT void taiStopBackgroundWork(void);
 
-/// Waits for all launches.
+/// Waits until all launches of the context have ended.
 TAI_EXPORT TaiStatus taiContextSynchronize(TaiContext context);
 
 /// A callback during long calls, to handle signals or to let other threads of
@@ -134,8 +134,9 @@ TAI_EXPORT TaiStatus taiContextSynchronize(TaiContext context);
 typedef int (*TaiSafepointHandler)(void);
 TAI_EXPORT void taiSetSafepointHandler(TaiSafepointHandler handler);
 
-/// Asks running launches to stop; they fail with TAI_ERROR_RUNTIME. Safe in a
-/// signal handler and from any thread. The request stands until it is cleared.
+/// Asks running launches of the context to stop; they fail with
+/// TAI_ERROR_RUNTIME. Safe in a signal handler and from any thread. The request
+/// stands until it is cleared.
 TAI_EXPORT void taiContextInterrupt(TaiContext context);
 TAI_EXPORT void taiContextClearInterrupt(TaiContext context);
 
@@ -186,7 +187,7 @@ typedef struct TaiSparseLevel {
   /// reused.
   int64_t listsMade;
   int64_t listsReused;
-  /// The maximum of cells active at any time.
+  /// The largest number of cells of the level that were active at any time.
   int64_t peakActive;
 } TaiSparseLevel;
 TAI_EXPORT TaiStatus taiContextGetSparseLevel(TaiContext context,
@@ -239,12 +240,12 @@ typedef struct TaiFieldInfo {
   int64_t element_shape[2];
 } TaiFieldInfo;
 TAI_EXPORT TaiStatus taiFieldGetInfo(TaiField field, TaiFieldInfo *info);
-/// Destroys the handle, not the field. Handles that are not released are
-/// destroyed with the context.
+/// Destroys the handle of a field, not the field. Handles that are not released
+/// are destroyed with the context.
 TAI_EXPORT void taiFieldRelease(TaiField field);
 
-/// Whether there is a kernel of that name, including a destroyed kernel that a
-/// tape may still launch. Can be called from any thread; does not wait.
+/// Returns true if there is a kernel of that name, including a destroyed kernel
+/// that a tape may still launch. Can be called from any thread; does not wait.
 TAI_EXPORT bool taiContextHasKernel(TaiContext context, const char *name);
 
 /// The number of objects in a context, to detect leaks.
@@ -302,12 +303,13 @@ typedef struct TaiFieldMemory {
   /// owned by the buffer.
   const int64_t *strides;
 } TaiFieldMemory;
-/// Fails for sparse fields, and for layouts without a uniform stride.
+/// Exports the memory of a field to another library. Fails for sparse fields,
+/// and for layouts without a uniform stride.
 TAI_EXPORT TaiStatus taiFieldExport(TaiField field, TaiFieldMemory *memory,
                                     TaiExportedBuffer *buffer);
 TAI_EXPORT void taiExportedBufferRelease(TaiExportedBuffer buffer);
-/// Call when another library writes to an exported field. Fails while a tape
-/// records.
+/// Notes that another library has written to an exported field. Must be called
+/// after such a write. Fails while a tape records.
 TAI_EXPORT TaiStatus taiFieldNoteWrite(TaiField field);
 /// WaitForStream makes later work of the context wait for the work now in a
 /// CUDA stream; LetStreamWait makes later work of the stream wait for the work
@@ -332,9 +334,10 @@ TAI_EXPORT TaiStatus taiContextReadOnDevice(TaiContext context,
                                             const void *from, int64_t step,
                                             int64_t bytes, int64_t rows,
                                             void *to);
-/// Whether kernels on the GPU, or on the emulated GPU, can access the address.
+/// Returns 1 if kernels on the GPU, or on the emulated GPU, can access the
+/// address, else 0.
 TAI_EXPORT int taiContextIsOnDevice(TaiContext context, const void *address);
-/// Whether kernels run on a real GPU.
+/// Returns 1 if kernels run on a real GPU, else 0.
 TAI_EXPORT int taiContextIsOnGpu(TaiContext context);
 
 /// Copy all elements to or from a row-major array of the field's own scalar
@@ -380,8 +383,9 @@ TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
 /// trees of gradients; null after the last tree.
 TAI_EXPORT const char *taiKernelGetTree(TaiKernel kernel, int64_t number);
 
-/// Launches with arguments in slots (see TaiFrame in tai/ABI/Abi.h). `results`
-/// may be null for a kernel without result. Recorded by the active tape.
+/// Launches a kernel with arguments in slots (see TaiFrame in tai/ABI/Abi.h).
+/// `results` may be null for a kernel without result. The launch is recorded by
+/// the active tape.
 ///
 /// A kernel with the attribute `gradients` is differentiated with respect to
 /// arguments and results. A launch under a tape, and its adjoint, have
@@ -403,7 +407,8 @@ TAI_EXPORT bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot);
 /// values.
 TAI_EXPORT bool taiKernelEndsGradients(TaiKernel kernel, int64_t slot);
 
-/// Compiles the kernels (and their adjoints) now, several in parallel.
+/// Compiles the kernels (and their adjoints) now instead of at their first
+/// launch, several in parallel.
 TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
                                        int64_t count, bool adjoints);
 
@@ -437,8 +442,8 @@ TAI_EXPORT TaiStatus taiProgramLoadFile(TaiContext context, const char *path,
 /// also on failure.
 TAI_EXPORT TaiStatus taiProgramCreate(TaiContext context, MlirModule module,
                                       TaiProgram *program);
-/// Destroys the program with its kernels and functions, and their handles.
-/// Trees and fields stay; see taiContextDestroyTree.
+/// Destroys the program with its kernels and functions, and their handles. Its
+/// trees and fields are kept; see taiContextDestroyTree.
 TAI_EXPORT void taiProgramDestroy(TaiProgram program);
 
 typedef enum TaiSymbolKind {
@@ -449,8 +454,8 @@ typedef enum TaiSymbolKind {
   TAI_SYMBOL_LOSS = 4,     // of a saved program: the field
   TAI_SYMBOL_WRT = 5       // of a saved program: fields with a gradient
 } TaiSymbolKind;
-/// Name number `number` of a kind, in the order of the file; null after the
-/// last one. Owned by the program.
+/// Returns the name of symbol number `number` of a kind in the program, in the
+/// order of the file; null after the last one. Owned by the program.
 TAI_EXPORT const char *taiProgramGetSymbol(TaiProgram program,
                                            TaiSymbolKind kind, int64_t number);
 /// A handle of a kernel of the program. The handle is the same each time, and
@@ -543,7 +548,7 @@ typedef enum TaiCheckpoint {
 } TaiCheckpoint;
 TAI_EXPORT TaiStatus taiTapeSetCheckpoint(TaiTape tape, TaiCheckpoint kind,
                                           int64_t snapshots, int64_t budget);
-/// Stops recording (the tape can still be run backward and replayed).
+/// Stops the recording of a tape, which can still be run backward and replayed.
 TAI_EXPORT TaiStatus taiTapeEnd(TaiTape tape);
 /// As taiTapeEnd, if taiTapeBackward follows: a device may then run the
 /// recording together with its reverse sweep.
@@ -551,10 +556,11 @@ TAI_EXPORT TaiStatus taiTapeEndToSweep(TaiTape tape);
 /// Zeroes the gradients that the sweep adds to, and all other gradients that
 /// the calling thread has written.
 TAI_EXPORT TaiStatus taiTapeClearGradients(TaiTape tape);
-/// Seeds the adjoint of the loss with 1 and replays the adjoints in reverse.
+/// Runs the reverse sweep: seeds the adjoint of the loss with 1 and launches
+/// the adjoints of the recorded kernels in reverse.
 TAI_EXPORT TaiStatus taiTapeBackward(TaiTape tape);
-/// `forward`: runs the recorded launches again on the current contents of the
-/// fields; `backward`: clears gradients, seeds, and reverses.
+/// Runs a tape again. `forward`: runs the recorded launches on the current
+/// contents of the fields; `backward`: clears gradients, seeds, and reverses.
 TAI_EXPORT TaiStatus taiTapeReplay(TaiTape tape, bool forward, bool backward);
 /// Records a host function: `forward` is called in its place by a replay,
 /// `backward` at its place in the reverse sweep (custom gradients). Launches
@@ -586,14 +592,15 @@ TAI_EXPORT TaiStatus taiTapeSave(TaiTape tape, const char *path, TaiField loss,
                                  const TaiField *fields, int64_t count);
 TAI_EXPORT TaiStatus taiTapeSuspend(TaiTape tape);
 TAI_EXPORT TaiStatus taiTapeResume(TaiTape tape);
-/// One line for each record: replayed or skipped, and why. Owned by the tape.
+/// Describes the last sweep, with one line for each record: replayed or
+/// skipped, and why. Owned by the tape.
 TAI_EXPORT const char *taiTapeExplain(TaiTape tape);
 TAI_EXPORT int64_t taiTapeNumRecords(TaiTape tape);
 TAI_EXPORT int64_t taiTapeNumSkipped(TaiTape tape);
-/// Memory statistics: bytes of saved values, now and at most. With a checkpoint
-/// policy: the maximum number of snapshots, the bytes of the largest, the
-/// number of re-executed records since the sequence last ran forward, and the
-/// optimum by the binomial formula.
+/// Memory statistics of a tape: bytes of saved values, now and at most. With a
+/// checkpoint policy: the maximum number of snapshots, the bytes of the
+/// largest, the number of re-executed records since the sequence last ran
+/// forward, and the optimum by the binomial formula.
 typedef struct TaiTapeStats {
   int64_t saved_bytes, peak_bytes;
   int64_t snapshots, snapshot_bytes, recomputed, optimum;
@@ -602,8 +609,8 @@ TAI_EXPORT TaiStatus taiTapeGetStats(TaiTape tape, TaiTapeStats *stats);
 /// Warning number `number` about the last sweep; null after the last one. Valid
 /// until the next sweep.
 TAI_EXPORT const char *taiTapeWarning(TaiTape tape, int64_t number);
-/// Runs one record again, on the current contents of the fields and with the
-/// same random numbers. Recorded by another tape, if one is recording.
+/// Runs one record of a tape again, on the current contents of the fields and
+/// with the same random numbers. Recorded by another tape, if one is recording.
 TAI_EXPORT TaiStatus taiTapeRunRecord(TaiTape tape, int64_t record);
 /// The name of the kernel of a record, or null for a host function.
 TAI_EXPORT const char *taiTapeRecordKernel(TaiTape tape, int64_t record);
@@ -615,7 +622,8 @@ typedef struct TaiTapeAccess {
   int32_t kind, dimension;
   int64_t index;
 } TaiTapeAccess;
-/// The rows are owned by the tape and valid until the next call.
+/// Lists the accesses of a record. The returned array is owned by the tape, and
+/// valid until the next call.
 TAI_EXPORT TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
                                            const TaiTapeAccess **rows,
                                            int64_t *count);
@@ -627,10 +635,12 @@ typedef struct TaiTapeHealthRow {
   int64_t nans, infs;
   double max_abs, norm;
 } TaiTapeHealthRow;
-/// Makes later reverse sweeps examine the result of each record, or not.
+/// Makes later reverse sweeps of the tape examine the result of each record, or
+/// not.
 TAI_EXPORT TaiStatus taiTapeWatchHealth(TaiTape tape, bool on);
-/// The statistics of the last sweep, in the order of the sweep. The rows are
-/// owned by the tape and valid until the next call.
+/// Lists the statistics of adjoint fields that the last sweep gathered, in the
+/// order of the sweep. The rows are owned by the tape and valid until the next
+/// call.
 TAI_EXPORT TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
                                    int64_t *count);
 /// Checks the global data access rules in the launches that follow, element by
@@ -659,8 +669,8 @@ typedef struct TaiViolation {
   int64_t component;
   TaiAccessPlace access, earlier;
 } TaiViolation;
-/// The violations found; `total` includes violations that were not kept. Valid
-/// until the next call on the tape.
+/// Lists the violations of the data access rules; `total` includes violations
+/// that were not kept. Valid until the next call on the tape.
 TAI_EXPORT TaiStatus taiTapeViolations(TaiTape tape, const TaiViolation **rows,
                                        int64_t *count, int64_t *total);
 
@@ -685,15 +695,15 @@ typedef struct TaiProfileRow {
   const char *place; // "file:line:column", or ""
   TaiProfileKind kind;
   int64_t bytes; // that a launch accesses, each element once; -1 for not known
-  // For device code; -1 if not known.
+  // These numbers are for device code only; -1 if not known.
   int32_t registers;        // of a thread
   int32_t local_bytes;      // of a thread: spilled registers and local arrays
   int32_t shared_bytes;     // of a block
   double occupancy;         // 0 to 1
   uint32_t blocks, threads; // of the last launch; threads of a block
 } TaiProfileRow;
-/// Rows of time since the last clear; owned by the context, valid until the
-/// next call. Waits for the device.
+/// Lists the profiled times since the last clear. The returned array is owned
+/// by the context, and valid until the next call. Waits for the device.
 TAI_EXPORT TaiStatus taiProfilerRows(TaiContext context,
                                      const TaiProfileRow **rows,
                                      int64_t *count);
@@ -709,9 +719,9 @@ typedef struct TaiTraceEvent {
   double start_us, duration_us, queued_us; // since the context was made
   uint32_t blocks, threads;
 } TaiTraceEvent;
-/// Events since the last clear, in the order of their start; owned by the
-/// context, valid until the next call. `lost`: the number of dropped events.
-/// Waits for the device.
+/// Lists the profiled events since the last clear, in the order of their start;
+/// owned by the context, valid until the next call. `lost` receives the number
+/// of dropped events. Waits for the device.
 TAI_EXPORT TaiStatus taiProfilerTrace(TaiContext context,
                                       const TaiTraceEvent **events,
                                       int64_t *count, int64_t *lost);

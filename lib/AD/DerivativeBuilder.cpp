@@ -32,8 +32,8 @@ Value DerivativeBuilder::createConstant(Type type, double value) {
 }
 
 Value DerivativeBuilder::createExtract(Value vector, int64_t component) {
-  // If `vector` was made from its components, return the component itself, so
-  // that sums of components stay sums of scalars.
+  // If `vector` was made from its components, the component itself is returned,
+  // so that sums of components stay sums of scalars.
   if (auto elements = vector.getDefiningOp<vector::FromElementsOp>())
     return elements.getElements()[component];
   if (auto broadcast = vector.getDefiningOp<vector::BroadcastOp>();

@@ -19,7 +19,7 @@
 
 namespace mlir::tai {
 
-/// A pass with the option `kernel`, which defines `LogicalResult
+/// Base of passes with the option `kernel`, which define `LogicalResult
 /// runOnFunction(FunctionOpInterface)` and optionally `begin`, called before
 /// the first function, and `end`. These are module passes, because the
 /// selection depends on other functions of the module.
@@ -40,7 +40,8 @@ struct SelectedFunctionsPass : GeneratedBase<Pass> {
     if (failed(functions) || failed(self->begin()))
       return this->signalPassFailure();
     bool isGood = true;
-    // Go on after a failure, so that the errors of all functions are reported.
+    // The pass goes on after a failure, so that the errors of all functions are
+    // reported.
     for (FunctionOpInterface function : *functions)
       isGood &= succeeded(self->runOnFunction(function));
     self->end();

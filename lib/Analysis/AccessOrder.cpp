@@ -54,7 +54,7 @@ Block *mlir::tai::findCommonBlock(Operation *&lhs, Operation *&rhs) {
   return nullptr;
 }
 
-/// True if some branch lies between `op` and the op `outer` around it.
+/// True if some branch lies between `op` and the op `outer` that contains it.
 static bool isConditional(Operation *op, Operation *outer) {
   for (; op != outer; op = op->getParentOp()) {
     Operation *parent = op->getParentOp();
@@ -72,7 +72,8 @@ bool mlir::tai::runsAfter(Operation *first, Operation *second) {
          (!isConditional(first, firstUp) || !isConditional(second, secondUp));
 }
 
-/// The loops between `op` and the op `outer` around it, outermost first.
+/// Returns the loops between `op` and the op `outer` that contains it,
+/// outermost first.
 static SmallVector<Operation *> getLoopsBelow(Operation *op, Operation *outer) {
   SmallVector<Operation *> loops;
   for (; op != outer; op = op->getParentOp())

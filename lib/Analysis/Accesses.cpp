@@ -92,8 +92,8 @@ AffineMap mlir::tai::getAffineMap(Operation *access, ValueRange indices) {
   if (!function || function.isExternal())
     return {};
   MLIRContext *context = access->getContext();
-  // List loop indices and arguments in a fixed order, because the terms of an
-  // IndexExpr are sorted by pointers.
+  // Loop indices and arguments are listed in a fixed order, because the terms
+  // of an IndexExpr are sorted by pointers.
   SmallVector<std::pair<Value, AffineExpr>> exprs;
   SmallVector<Value> dims = getEnclosingInductionVars(access);
   for (auto [i, iv] : llvm::enumerate(dims))
@@ -155,8 +155,8 @@ static SmallVector<IndexExpr> getIndices(Operation *access) {
       cast<DifferentiableAccessInterface>(access).getAccessIndices());
 }
 
-/// The induction variables of the parallel loops around `op`, the outermost
-/// first, without those of loops that run on one thread.
+/// Returns the induction variables of the parallel loops around `op`, the
+/// outermost first, without those of loops that run on one thread.
 static SmallVector<Value> getConcurrentInductionVars(Operation *op) {
   SmallVector<Value> ivs;
   while ((op = getEnclosingParallelLoop(op))) {
@@ -178,7 +178,7 @@ bool mlir::tai::isExclusive(ArrayRef<Operation *> accesses) {
           return indices[i] == index;
         }))
       common.push_back(index);
-  // Most accesses are in the same loop, so compute the answer once for each
+  // Most accesses are in the same loop, so the answer is computed once for each
   // loop.
   llvm::SmallDenseMap<Operation *, bool> byLoop;
   return llvm::all_of(accesses, [&](Operation *access) {

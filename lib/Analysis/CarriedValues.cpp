@@ -36,7 +36,8 @@ StringRef mlir::tai::stringifyCarriedKind(CarriedKind kind) {
   llvm_unreachable("no such kind");
 }
 
-/// The number of values that a loop carries from iteration to iteration.
+/// Returns the number of values that a loop carries from iteration to
+/// iteration.
 static unsigned getNumCarried(Operation *loop) {
   if (auto forOp = dyn_cast<scf::ForOp>(loop))
     return forOp.getNumRegionIterArgs();

@@ -28,8 +28,8 @@ int64_t tai::estimateTrips(Operation *loop) {
   return isa<scf::WhileOp>(loop) ? kAssumedTrips : 1;
 }
 
-/// Nanoseconds of one op without its regions, for one component. Measured
-/// throughputs of a 3 GHz core, rounded.
+/// Estimates the nanoseconds of one op without its regions, for one component.
+/// The numbers are measured throughputs of a 3 GHz core, rounded.
 static double estimateScalar(Operation *op) {
   if (op->hasTrait<OpTrait::ConstantLike>() || op->getNumRegions() != 0)
     return 0;

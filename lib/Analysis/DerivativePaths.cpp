@@ -120,7 +120,7 @@ static bool isUnderstood(Value value, FunctionOpInterface function) {
          isa<MemRefType>(value.getType());
 }
 
-/// True for ops that only forward their operands.
+/// True for ops that only forward their operands to their results.
 static bool isMove(Operation *op) {
   // Ops are listed by name, because most of their dialects need not be loaded.
   static const llvm::StringSet<> names = {
@@ -205,8 +205,8 @@ private:
   const DerivativeEnds &ends;
   function_ref<InFlightDiagnostic(Operation *, const Twine &)> emitError;
 
-  /// For operands and values: where a value goes to, or comes from, along
-  /// branches, loops, local variables and local arrays.
+  /// For operands and values: the values to which a value goes, or from which
+  /// it comes, along branches, loops, local variables and local arrays.
   DenseMap<OpOperand *, SmallVector<Value, 2>> targets;
   DenseMap<Value, SmallVector<Value, 2>> sources;
   SmallVector<Value> starts, wanted, bits;
@@ -229,7 +229,7 @@ void Paths::addEdges(OperandRange operands, ValueRange inputs) {
     addEdge(use, input);
 }
 
-/// The operand of `op` that is `value`.
+/// Returns the operand of `op` that is `value`.
 static OpOperand *findOperand(Operation *op, Value value) {
   for (OpOperand &operand : op->getOpOperands())
     if (operand.get() == value)
@@ -325,8 +325,8 @@ void Paths::collect() {
                                });
     collectRead(op);
   });
-  // Follow bits loaded from memory: if they are only moved and then cast to a
-  // float, the cast is where the float is read.
+  // The bits loaded from memory are followed: if they are only moved and then
+  // cast to a float, the cast is where the float is read.
   llvm::DenseSet<Value> seen(bits.begin(), bits.end());
   while (!bits.empty()) {
     Value value = bits.pop_back_val();
@@ -548,7 +548,7 @@ LogicalResult Paths::verify() {
            "floats, or make it a constant by 'tai.stop_gradient' (in Python, "
            "'ti.stop_grad')";
   }
-  // Report only the first op without a rule on each path.
+  // Only the first op without a rule on each path is reported.
   llvm::DenseSet<Value> reached;
   findVaried(reached, /*stopsAtRefused=*/true);
   function.walk<WalkOrder::PreOrder>([&](Operation *op) {

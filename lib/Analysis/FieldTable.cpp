@@ -101,8 +101,9 @@ AliasScopes FieldTable::getArrayScopes() {
 std::optional<FieldSlice> FieldTable::getSlice(const FieldInfo &field,
                                                ArrayRef<bool> fixed) {
   ArrayRef<IndexDigit> digits = field.storage.digits;
-  // Sort the digits by ascending stride. Digits of extent 1 are left out,
-  // because they add nothing to an address.
+  // The digits of the field (parts of its indices, one for each level) are
+  // sorted by ascending stride. Digits of extent 1 are omitted, because they
+  // add nothing to an address.
   SmallVector<unsigned> order;
   for (unsigned i = 0; i != digits.size(); ++i)
     if (digits[i].extent != 1)

@@ -61,9 +61,9 @@ static std::optional<Interval> getConstantRange(Value value) {
   return isNumber ? std::optional(range) : std::nullopt;
 }
 
-/// Bounds of a result of type `type`. Rounding is monotone, so a rounded bound
-/// is a bound; a number that may underflow becomes 0. A NaN bound, as from
-/// infinity minus infinity, means that there is no bound.
+/// Returns the bounds of a result of type `type`. Rounding is monotone, so a
+/// rounded bound is a bound; a number that may underflow becomes 0. A NaN
+/// bound, as from infinity minus infinity, means that there is no bound.
 static Interval makeRange(double low, double high, Type type) {
   if (std::isnan(low))
     low = -kInfinity;
@@ -105,7 +105,8 @@ static Interval multiply(Interval a, Interval b, Type type) {
   return makeRange(*llvm::min_element(p), *llvm::max_element(p), type);
 }
 
-/// The range of a reciprocal, if no number in the range is zero.
+/// Returns the range of a reciprocal, if no number in the range of the operand
+/// is zero.
 static Interval invert(Interval a, Type type) {
   return makeRange(1 / a.high, 1 / a.low, type);
 }
@@ -114,7 +115,7 @@ static Interval join(Interval a, Interval b) {
   return {std::min(a.low, b.low), std::max(a.high, b.high)};
 }
 
-/// The range of x * x, or of another even power of x, for x in `a`.
+/// Returns the range of x * x, or of another even power of x, for x in `a`.
 static Interval square(Interval a, Type type) {
   double least = std::max({a.low, -a.high, 0.0});
   return makeRange(least * least, kInfinity, type);
@@ -142,7 +143,7 @@ static void narrow(Interval &range, Value value, Value condition, bool holds,
   std::optional<Interval> bound = getConstantRange(lhs == value ? rhs : lhs);
   if (!bound)
     return;
-  // Decide whether the comparison bounds `value`, on its left side, from above
+  // Decides whether the comparison bounds `value`, on its left side, from above
   // or from below. If the comparison fails, the inverse comparison holds, since
   // `value` is assumed to be a number.
   using P = arith::CmpFPredicate;
@@ -181,7 +182,8 @@ Interval FloatFacts::getRange(Value value, Operation *at, unsigned depth) {
   Interval range = computeRange(value, at, depth);
   if (!usesConditions || !at)
     return range;
-  // Narrow the range by the conditions of the branches around `at`.
+  // The range of the value is narrowed by the conditions of the branches around
+  // `at`.
   for (Operation *op = at; Operation *parent = op->getParentOp(); op = parent)
     if (auto branch = dyn_cast<scf::IfOp>(parent))
       narrow(range, value, branch.getCondition(),
@@ -305,7 +307,7 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
       .Default([&](Operation *) { return all; });
 }
 
-/// Whether a quotient is v / |v|, or v / 1 where v is zero: its components have
+/// True if a quotient is v / |v|, or v / 1 where v is zero: its components have
 /// a magnitude of at most 1, however small v is.
 static bool isNormalization(Operation *op) {
   auto division = dyn_cast_if_present<arith::DivFOp>(op);
@@ -330,7 +332,7 @@ static bool isNormalization(Operation *op) {
   return norm && norm.getVector() == division.getLhs();
 }
 
-/// True if flags of the op say that its result is finite.
+/// True if fast-math flags of the op say that its result is finite.
 static bool isPromisedFinite(Operation *op) {
   auto flagged = dyn_cast<arith::ArithFastMathInterface>(op);
   if (!flagged)
@@ -362,8 +364,8 @@ bool FloatFacts::isNonNegative(Value value, Operation *at) {
 bool FloatFacts::isNonZero(Value value, Operation *at) {
   if (needsNonZero(at, value))
     return true;
-  // Constants first: the range of a vector constant with components of both
-  // signs contains zero, although no component may be zero.
+  // Constants are handled first, because the range of a vector constant with
+  // components of both signs contains zero, although no component may be zero.
   if (matchConstant(
           value, [](const APFloat &x) { return x.isFinite() && !x.isZero(); }))
     return true;
@@ -418,7 +420,7 @@ bool FloatFacts::mayBeNonFinite(Value value) {
     concludedFinite.push_back(value);
   } else if (isa<BlockArgument>(value)) {
     // Until now the value was assumed to be finite, because a loop's value may
-    // depend on itself. Discard facts concluded from this assumption.
+    // depend on itself. Facts concluded from this assumption are discarded.
     for (Value later : ArrayRef(concludedFinite).drop_front(mark))
       nonFinite.erase(later);
     concludedFinite.truncate(mark);

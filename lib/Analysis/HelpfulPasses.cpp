@@ -25,7 +25,7 @@ struct HelpfulPass {
 };
 } // namespace
 
-/// The pass that applies all lowerings listed in `kPrepared`.
+/// The name of the pass that applies all lowerings listed in `kPrepared`.
 static constexpr StringLiteral kPrepare = "tai-prepare-foreign";
 
 // Ops and dialects are given by name, because most of the dialects need not be

@@ -23,9 +23,9 @@ bool tai::checksIndices(Operation *op) {
 
 void IndexBounds::checkPiece(const IterationDomain &domain, LinearSystem system,
                              BoundsAnswer &answer, bool &isExact) {
-  // First decide whether the system has a solution for any launch at all. The
-  // known ranges of launch values help to decide that, but do not become part
-  // of the checks at launch time.
+  // First it is decided whether the system has a solution for any launch at
+  // all. The known ranges of launch values help to decide this, but do not
+  // become part of the checks at launch time.
   LinearSystem all = system;
   SmallVector<unsigned> used = system.getVariables();
   for (unsigned number : used) {
@@ -56,8 +56,8 @@ void IndexBounds::checkPiece(const IterationDomain &domain, LinearSystem system,
 void IndexBounds::eliminateLoops(const IterationDomain &domain,
                                  LinearSystem system, Violation violation,
                                  BoundsAnswer &answer, bool &isExact) {
-  // Eliminate inner loops first, and note how each loop index follows from the
-  // indices of the loops around, for the report.
+  // Inner loops are eliminated first, and for the report it is noted how each
+  // loop index follows from the indices of the loops around it.
   SmallVector<Violation::Step> known = std::move(violation.iteration);
   violation.iteration.clear();
   SmallVector<unsigned> used = system.getVariables(), order;
@@ -110,7 +110,7 @@ void IndexBounds::eliminateLoops(const IterationDomain &domain,
 /// replaces its index.
 using Corner = llvm::SmallDenseMap<unsigned, LinearSum, 4>;
 
-/// Collects in `loops` the loops whose indices occur in products of `sum`.
+/// Collects in `loops` the loops whose indices occur in products in `sum`.
 static void collectLoopsOfProducts(const IndexForms &forms,
                                    const LinearSum &sum, bool isInProduct,
                                    SmallVectorImpl<unsigned> &loops) {
@@ -158,8 +158,8 @@ void IndexBounds::checkCorners(const IterationDomain &domain,
   answer.isInRange = isExact = false;
   SmallVector<unsigned> used, loops;
   collectLoopsOfProducts(forms, beyond, false, used);
-  // Outer loops come first, because inner loops may be bounded by their
-  // indices.
+  // Outer loops come first, because the bounds of inner loops may depend on
+  // their indices.
   for (unsigned loop : domain.loops)
     if (llvm::is_contained(used, loop))
       loops.push_back(loop);
@@ -171,8 +171,8 @@ void IndexBounds::checkCorners(const IterationDomain &domain,
     SmallVector<LinearSum> facts;
     Violation violation;
     for (auto [number, loop] : llvm::enumerate(loops)) {
-      // Find the bound of this loop: a row loop - first >= 0, or last - loop >=
-      // 0.
+      // The bound of this loop is one row of the system: loop - first >= 0, or
+      // last - loop >= 0.
       int64_t side = choice >> number & 1 ? -1 : 1;
       for (const LinearSum &row : piece) {
         if (row.getFactor(loop) != side)

@@ -49,8 +49,8 @@ std::string tai::describeArray(MemRefType type) {
   return text;
 }
 
-/// The dimension of a field along which the innermost list above it grows. Ops
-/// on lists have no index for this dimension.
+/// Returns the dimension of a field along which the innermost list above it
+/// grows. Ops on lists have no index for this dimension.
 static size_t findListDimension(const FieldLayout &layout) {
   for (const PathLevel &level : llvm::reverse(layout.path.levels))
     if (level.type.isList())

@@ -51,17 +51,17 @@ namespace {
 /// positive number of steps.
 struct Later {
   Operation *loop = nullptr;
-  /// Values that grow by a constant in each iteration, paired with the
-  /// constant, which may be negative.
+  /// Values that grow by a constant in each iteration, each with its constant,
+  /// which may be negative.
   SmallVector<std::pair<Value, int64_t>, 2> moving;
   /// The number of low bits in which the moving values grow by that constant.
   unsigned width = 64;
   /// Values that change in the loop (or in the two regions of a while loop) but
-  /// are equal in both accesses.
+  /// have the same value in both accesses.
   SmallVector<Value, 2> same;
   /// An upper bound of the number of iterations between the two accesses.
   __int128 most = kMostIterations;
-  /// Whether indices are assumed to be in range, and so not to wrap around,
+  /// True if indices are assumed to be in range, and so not to wrap around,
   /// unless they are known to wrap.
   bool inRange = false;
 
@@ -169,7 +169,8 @@ static bool tellApart(IndexBuilder &builder, Operation *loop, ValueRange first,
       *cast<LoopLikeOpInterface>(loop).getLoopInductionVars());
 }
 
-/// Lists the ways in which one iteration of `loop` can be later than another.
+/// Lists the conditions under which one iteration of `loop` comes after
+/// another.
 static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
   SmallVector<Later> ways;
   Later later;
@@ -209,7 +210,7 @@ static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
             form.getCoefficient(argument) != 1)
           continue;
         later.moving.emplace_back(argument, form.constant);
-        // Assume that a counter makes too few steps to wrap around to an
+        // A counter is assumed to make too few steps to wrap around to an
         // earlier value.
         later.width = std::min(later.width, form.width);
         later.most = std::min(
@@ -273,8 +274,9 @@ bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
     follows = firstUp->isBeforeInBlock(secondUp);
   } else if (auto whileOp = dyn_cast<scf::WhileOp>(firstUp);
              whileOp && first != second) {
-    // In an iteration, the second region runs after the first region; across
-    // iterations, the first region runs after the second.
+    // In an iteration of an scf.while, the second region runs after the first
+    // region; in the order of all iterations, the first region runs after the
+    // second region of the iteration before.
     follows = whileOp.getBefore().isAncestor(first->getParentRegion());
     llvm::append_range(inSame.same, whileOp.getBeforeArguments());
     loop = whileOp;

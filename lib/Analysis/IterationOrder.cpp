@@ -23,7 +23,7 @@ using namespace mlir::tai;
 namespace {
 enum class Effect { Read, Write, Update };
 
-/// An access of an iteration to an element.
+/// An access of one iteration to an element.
 struct ElementAccess {
   ElementPlace place;
   Effect effect = Effect::Read;
@@ -68,8 +68,8 @@ static bool commute(ParallelForOp loop, const ElementAccess &a,
 
 using KeyedAccess = std::pair<const void *, ElementAccess>;
 
-/// The access that `op` makes, and the key of its storage; a null key if `op`
-/// accesses no memory that iterations share. Fails for unsupported ops.
+/// Describes the access that `op` makes, and the key of its storage; a null key
+/// if `op` accesses no memory that iterations share. Fails for unsupported ops.
 static FailureOr<KeyedAccess> getAccess(ParallelForOp loop, Operation *op) {
   ElementAccess access;
   KeyedAccess none(nullptr, access);

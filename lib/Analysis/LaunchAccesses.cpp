@@ -17,7 +17,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The number of argument slots that a value of the type occupies; see Abi.h.
+/// Returns the number of argument slots that a value of the type occupies; see
+/// Abi.h.
 static int64_t countSlots(Type type) {
   if (auto vector = dyn_cast<VectorType>(type))
     return vector.getNumElements();
@@ -69,7 +70,8 @@ evaluateOnLaunch(const IndexExpr &form, size_t dimension,
   return fixed;
 }
 
-/// The indices of an access that are sums of constants and integer arguments.
+/// Returns those indices of an access that are sums of constants and integer
+/// arguments.
 static std::vector<runtime::FixedIndex>
 getFixedIndices(ValueRange indices, const ArgumentSlots &slots) {
   std::vector<runtime::FixedIndex> found;
@@ -93,8 +95,8 @@ struct LoopRange {
 };
 } // namespace
 
-/// The loops around a store, if the store is under loops only, and each loop
-/// runs from a lower to an upper bound in steps of one; otherwise none.
+/// Returns the loops around a store, if the store is under loops only, and each
+/// loop runs from a lower to an upper bound in steps of one; otherwise none.
 static std::optional<SmallVector<LoopRange>>
 findLoopRanges(Operation *store, const ArgumentSlots &slots) {
   SmallVector<LoopRange> ranges;
@@ -144,9 +146,9 @@ static runtime::FixedIndex addTo(runtime::FixedIndex bound,
   return bound;
 }
 
-/// The elements that a store certainly reaches, whatever the fields contain:
-/// each index is the index of a different loop plus sums of arguments, or only
-/// such a sum.
+/// Returns the elements that a store certainly reaches, whatever the fields
+/// contain: each index is the index of a different loop plus sums of arguments,
+/// or only such a sum.
 static std::optional<runtime::StoredBox>
 findStoredBox(Operation *store, ValueRange indices,
               const ArgumentSlots &slots) {

@@ -58,7 +58,8 @@ void LiveValues::markOperands(Operation *op) {
   });
 }
 
-/// Marks the values that decide whether and how often `inside` runs.
+/// Marks as live the values that decide whether and how often the op `inside`
+/// runs.
 void LiveValues::markControl(Operation *inside) {
   for (Operation *parent = inside->getParentOp();
        parent && region.isAncestor(parent->getParentRegion());

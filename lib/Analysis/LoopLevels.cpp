@@ -12,8 +12,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The number of the sparse level over whose active cells the loop runs; none
-/// for other loops.
+/// Returns the number of the sparse level over whose active cells the loop
+/// runs; none for other loops.
 static std::optional<unsigned>
 getListLevel(ParallelForOp loop, const DataLayout &dataLayout, TreeOp &tree) {
   std::optional<FieldLayout> layout = getSparseLayout(loop);

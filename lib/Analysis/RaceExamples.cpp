@@ -160,8 +160,8 @@ private:
       return arith::applyCmpPredicate(comparison.getPredicate(), number(lhs),
                                       number(rhs));
     }
-    // The two sides are equal, so the comparison is decided without knowing
-    // their value.
+    // The two sides of the comparison are equal, so it is decided without
+    // knowing their value.
     if (lhs == rhs)
       return arith::applyCmpPredicate(comparison.getPredicate(), APInt(64, 0),
                                       APInt(64, 0));
@@ -178,8 +178,8 @@ private:
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// An access, and the loops and conditions that determine whether it runs and
-/// which element it reaches.
+/// One of the two accesses of a race, and the loops and conditions that
+/// determine whether the access runs and which element it reaches.
 class Side {
 public:
   Side(IndexBuilder &builder, DifferentiableAccessInterface access, LoopBox box)
@@ -210,8 +210,8 @@ public:
 
   size_t getRank() { return box.ivs().size(); }
 
-  /// The values to try for loop index number `number`, given the indices of the
-  /// loops around that loop.
+  /// Returns the values to try for loop index number `number`, given the
+  /// indices of the loops around that loop.
   SmallVector<int64_t> getCandidates(unsigned number, const Numbers &numbers) {
     SmallVector<int64_t> values;
     if (number >= getRank()) {
@@ -232,7 +232,7 @@ public:
       if (value >= lower && value < upper && !llvm::is_contained(values, value))
         values.push_back(value);
     };
-    // Try small numbers first, which make better examples.
+    // Small numbers are tried first, since they make better examples.
     for (int64_t i = 0; i != atEnds; ++i)
       add(lower + i);
     add(middle);
@@ -301,8 +301,8 @@ private:
 class Search {
 public:
   Search(Side &first, Side &second) : first(first), second(second) {
-    // If only one access has component indices, compare the elements alone: a
-    // whole element overlaps each of its components.
+    // If only one access has component indices, only the elements are compared:
+    // a whole element overlaps each of its components.
     compares = first.components.size() == second.components.size();
   }
 
@@ -332,7 +332,7 @@ private:
       if (!first.runs(ofFirst))
         return false;
       element = getPlace(first, ofFirst);
-      // Parts of the element's indices that stay symbolic must have the same
+      // Parts of the element's indices that remain symbolic must have the same
       // value in both iterations.
       auto isFromOutside = [&](Value value) {
         return !first.box.loop->isAncestor(
@@ -438,8 +438,8 @@ mlir::tai::findExample(DifferentiableAccessInterface lhs,
     return std::nullopt;
   if (auto found = Search(left, right).run())
     return found;
-  // Search again with the accesses exchanged: an index in a quotient, which
-  // cannot be solved for, is then tried.
+  // The search is repeated with the accesses exchanged: an index in a quotient,
+  // which cannot be solved for, is then tried.
   auto found = Search(right, left).run();
   if (found)
     std::swap(found->lhs, found->rhs);

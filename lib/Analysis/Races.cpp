@@ -24,8 +24,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Equations known about one dimension of two iterations i and j: their indices
-/// and the difference, as far as determined.
+/// Facts about one dimension of two iterations i and j: their indices and the
+/// difference, as far as determined.
 struct Unknown {
   std::optional<int64_t> i, j, difference; // j - i
 
@@ -38,14 +38,14 @@ struct Unknown {
 };
 } // namespace
 
-/// The dimension whose loop index the atom is.
+/// Returns the dimension of the loop whose index the atom is.
 static std::optional<unsigned> findIndex(LoopBox &box, const IndexAtom &atom) {
   return atom.getValue() ? box.find(atom.getValue()) : std::nullopt;
 }
 
-/// The loop index of a form, as its dimension and coefficient; dimension -1 if
-/// there is none. Fails if there are several, or if other parts of the form
-/// differ between iterations.
+/// Returns the loop index of a form, as its dimension and coefficient;
+/// dimension -1 if there is none. Fails if there are several, or if other parts
+/// of the form differ between iterations.
 static FailureOr<std::pair<int, int64_t>> getLoopTerm(LoopBox &box,
                                                       const IndexExpr &form) {
   std::pair<int, int64_t> found(-1, 0);
@@ -65,8 +65,8 @@ static FailureOr<std::pair<int, int64_t>> getLoopTerm(LoopBox &box,
   return found;
 }
 
-/// The part of an index expression that is the same in all iterations of the
-/// loop, without its constant.
+/// Returns the part of an index expression that is the same in all iterations
+/// of the loop, without its constant.
 static IndexExpr dropLoopTerms(LoopBox &box, IndexExpr form) {
   llvm::erase_if(form.terms,
                  [&](auto &term) { return findIndex(box, term.first); });
@@ -101,7 +101,7 @@ static bool addEquation(LoopBox &box, const IndexExpr &lhs,
 }
 
 namespace {
-/// The integers in [lower, upper).
+/// The integers in [lower, upper), as a range of a loop index.
 struct Interval {
   int64_t lower, upper;
 
@@ -139,8 +139,8 @@ static bool solve(Unknown unknown, Interval is, Interval js, bool &differ) {
   return true;
 }
 
-/// The box of a loop; a bound that is not known is replaced by a very large
-/// number, so that the loop counts as long.
+/// Returns the box of a loop; a bound that is not known is replaced by a very
+/// large number, so that the loop counts as long.
 static LoopBox getLongBox(ParallelForOp loop) {
   constexpr int64_t kFar = int64_t(1) << 40;
   if (std::optional<LoopBox> box = getIndexBox(loop))
@@ -170,8 +170,8 @@ Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
   ValueRange rhsParts = rhs.getAccessComponents();
   if (lhs.getAccessIndices().size() != rhs.getAccessIndices().size())
     return nullptr;
-  // For most pairs, the equations alone show that the accesses do not meet;
-  // look up the bounds only for the remaining pairs.
+  // For most pairs of accesses, the equations alone show that the accesses do
+  // not meet; bounds are looked up only for the remaining pairs.
   LoopBox unbounded{loop, {}, {}};
   SmallVector<Unknown> unknowns(loop.getInductionVars().size());
   auto add = [&](ValueRange a, ValueRange b) {

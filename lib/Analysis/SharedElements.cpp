@@ -59,10 +59,11 @@ public:
             branch.getThenRegion().isAncestor(op->getParentRegion()));
   }
 
-  /// The differences that are zero because a comparison for equality holds.
+  /// Returns the differences that are zero because a comparison for equality
+  /// holds.
   ArrayRef<IndexExpr> getZeros() const { return zeros; }
-  /// True if a condition around the access compares for equality: only few
-  /// iterations satisfy it.
+  /// True if a condition around the access compares for equality, so that only
+  /// few iterations satisfy it.
   bool haveEquality() const { return isEquality; }
 
   /// Removes from `box` the iterations that do not satisfy the comparisons with
@@ -296,7 +297,7 @@ Sharing mlir::tai::getSharing(DifferentiableAccessInterface access,
   llvm::append_range(determined, conditions.getZeros());
 
   // Along a dimension with a single iteration, there are no iterations to
-  // distinguish.
+  // distinguish, so its index is left out.
   std::optional<LoopBox> box = getIndexBox(loop);
   if (box)
     conditions.narrow(*box);

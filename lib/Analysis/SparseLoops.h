@@ -13,8 +13,8 @@
 
 namespace mlir::tai {
 
-/// The layout of the sparse field that the loop visits; nothing for other
-/// loops.
+/// Returns the layout of the sparse field that the loop visits; nothing for
+/// other loops.
 inline std::optional<FieldLayout> getSparseLayout(ParallelForOp loop) {
   if (!loop.isStructFor())
     return std::nullopt;

@@ -20,8 +20,8 @@ using namespace mlir::tai;
 // Analysis
 //===----------------------------------------------------------------------===//
 
-/// The loads that determine which elements the stores of a kernel reach. The
-/// form of the adjoint that sets adjoints of overwritten elements to zero
+/// Finds the loads that determine which elements the stores of a kernel reach.
+/// The form of the adjoint that sets adjoints of overwritten elements to zero
 /// executes these loads too.
 static SetVector<Operation *> findLoadsBehindStores(KernelOp kernel) {
   SetVector<Operation *> slice, loads;
@@ -72,8 +72,9 @@ static bool mayBeRead(Value array) {
   });
 }
 
-/// The slots of the arrays of `kernel` that its adjoint or the given `loads`
-/// read. If `adjoint` is null, the slots of all arrays that the kernel reads.
+/// Returns the slots of the arrays of `kernel` that its adjoint or the given
+/// `loads` read. If `adjoint` is null, the slots of all arrays that the kernel
+/// reads.
 static std::vector<int64_t> findArraysRead(KernelOp kernel, KernelOp adjoint,
                                            ArrayRef<Operation *> loads) {
   std::vector<int64_t> arrays;
@@ -170,7 +171,8 @@ public:
   std::string bytes;
 };
 
-/// Reads the output of a Writer; `ok` says in the end whether it was complete.
+/// Reads the bytes of a serialized ToBeRecorded; `ok` says in the end whether
+/// they were complete.
 class Reader {
 public:
   explicit Reader(StringRef bytes) : bytes(bytes) {}

@@ -142,7 +142,7 @@ bool LoopAnalysis::staysZero(Value value) const {
          zeros.contains(inner.getBody()->getTerminator()->getOperand(number));
 }
 
-/// Whether `op` has no effect if all values in `zeros` are zero.
+/// True if `op` has no effect when all values in `zeros` are zero.
 bool LoopAnalysis::isHarmless(Operation *op) {
   if (auto atomic = dyn_cast<AtomicOp>(op)) {
     FieldLayout target =
@@ -175,8 +175,8 @@ bool LoopAnalysis::isHarmless(Operation *op) {
 bool LoopAnalysis::run() {
   if (loop.getLevel())
     return false;
-  // Start with the adjoints that the loop reads or stores in the cell that it
-  // visits: these are the possible sources.
+  // The adjoints that the loop reads or stores in the cell that it visits are
+  // the possible sources to start with.
   auto addSource = [&](Operation *op, FlatSymbolRefAttr name,
                        ValueRange indices) {
     if (isOwn(op, name, indices))
@@ -204,8 +204,8 @@ bool LoopAnalysis::run() {
     for (Region &region : op->getRegions())
       for (Block &block : region)
         llvm::for_each(block.getArguments(), consider);
-    // Constants that are zero are not in the loop: collect them among the
-    // operands.
+    // Constants that are zero are not in the loop, so they are collected among
+    // the operands.
     for (Value operand : op->getOperands())
       if (matchPattern(operand, m_AnyZeroFloat()))
         zeros.insert(operand);

@@ -85,7 +85,7 @@ TaiError taiContextLastError(TaiContext context) {
 
 TaiStatus taiContextSynchronize(TaiContext context) {
   return call(*context, [&]() -> TaiStatus {
-    // There is nothing to wait for on the CPU, where launches have ended when
+    // On the CPU there is nothing to wait for, because launches have ended when
     // they return.
     return context->status(context->session.getRuntime().synchronize());
   });
@@ -148,7 +148,8 @@ TaiStatus taiContextDestroyTree(TaiContext context, const char *name) {
   });
 }
 
-/// The sparse level number `level` of the tree `name`; null after an error.
+/// Returns the sparse level number `level` of the tree `name`; null after an
+/// error.
 static runtime::SparseNode *findLevel(TaiContext context, const char *name,
                                       int64_t level, TaiStatus &status,
                                       runtime::TreePtr *found = nullptr) {

@@ -8,7 +8,8 @@
 #ifndef TAI_LIB_CAPI_IMPL_H
 #define TAI_LIB_CAPI_IMPL_H
 
-// The plain functions are defined here, without the macros of tai-c/Sizes.h.
+// The plain functions are defined in this library, without the macros of
+// tai-c/Sizes.h.
 #define TAI_PLAIN_FUNCTIONS
 #include "tai-c/Tai.h"
 #include "tai/ExecutionEngine/Modules/Program.h"
@@ -17,8 +18,9 @@
 #include <mutex>
 #include <unordered_map>
 
-/// Owns handles, and finds one by its address in constant time. Not a DenseMap,
-/// which is damaged when memory runs out while it grows.
+/// Owns handles of the C API, and finds one by its address in constant time.
+/// The map is not a DenseMap, which is damaged when memory runs out while it
+/// grows.
 template <typename Impl> class Handles {
 public:
   Impl *add(std::unique_ptr<Impl> handle) {
@@ -30,8 +32,8 @@ public:
     auto found = owned.find(handle);
     if (found == owned.end())
       return;
-    // Remove the handle from the map before it is destroyed: its destructor may
-    // remove other handles.
+    // The handle is removed from the map before it is destroyed, because its
+    // destructor may remove other handles.
     std::unique_ptr<Impl> gone = std::move(found->second);
     owned.erase(found);
   }
@@ -41,10 +43,11 @@ private:
   std::unordered_map<Impl *, std::unique_ptr<Impl>> owned;
 };
 
-/// Owns every handle created in it that has not been destroyed.
+/// A context of the C API, which owns every handle created in it that has not
+/// been destroyed.
 struct TaiContextImpl {
-  /// Held by every call but launches and reads of single elements on the CPU:
-  /// a context has one user at a time.
+  /// The lock of the context. Every call holds it, except launches and accesses
+  /// to single elements on the CPU: a context has one user at a time.
   std::recursive_timed_mutex mutex;
   mlir::tai::Session session;
   Handles<TaiFieldImpl> fields;
@@ -58,20 +61,20 @@ struct TaiContextImpl {
   std::vector<TaiTraceEvent> traceEvents;
   std::vector<TaiSkipRow> skipRows;
   std::string lostTangents;
-  /// Copies of rows for callers whose rows have another size than this
-  /// library's, valid until the next such call.
+  /// Copies of arrays of structs for callers whose structs have another size
+  /// than this library's, valid until the next such call.
   std::vector<uint64_t> sizedRows;
 
-  /// The C status for the result of a call of the session, which keeps the
-  /// failure.
+  /// Returns the C status for the result of a call of the session, which keeps
+  /// the failure.
   TaiStatus status(llvm::LogicalResult result) {
     if (succeeded(result))
       return TAI_OK;
     return static_cast<TaiStatus>(session.getFailure().kind);
   }
-  /// The status of a call of the runtime. If the call has not failed, a failure
-  /// that the runtime has noted in a function without a status, such as one
-  /// that frees memory, becomes the failure of the call.
+  /// Returns the C status of a call of the runtime. If the call has not failed,
+  /// a failure that the runtime has noted in a function without a status, such
+  /// as one that frees memory, becomes the failure of the call.
   TaiStatus status(const mlir::tai::runtime::Status &result) {
     if (LLVM_LIKELY(result.ok() && !session.getRuntime().hasNotedFailure()))
       return TAI_OK;
@@ -103,9 +106,9 @@ private:
   std::unique_lock<std::recursive_timed_mutex> lock;
 };
 
-/// Locks the context only if there is a device. For calls that several threads
-/// can make at once on the CPU: a device has one queue, and a thread may wait
-/// for another thread's work.
+/// Locks the context only if there is a device. Used by calls that several
+/// threads can make at once on the CPU: a device has one queue, and a thread
+/// may wait for another thread's work.
 class DeviceLock {
 public:
   DeviceLock(TaiContextImpl &context,
@@ -140,8 +143,8 @@ TaiStatus call(TaiContextImpl &context, const Body &body) noexcept {
   return callOr(context, TAI_ERROR_MEMORY, body);
 }
 
-/// For functions that cannot fail: if memory runs out, the rest of `body` is
-/// left out.
+/// Runs `body` of a C function that cannot fail: if memory runs out, the rest
+/// of `body` is left out.
 template <typename Body>
 void callQuietly(TaiContextImpl &context, const Body &body) noexcept {
   callOr(context, 0, [&] {
@@ -175,8 +178,8 @@ struct TaiKernelImpl {
   std::string text;
   /// The program that the kernel belongs to, or null.
   TaiProgramImpl *program = nullptr;
-  /// Kept here so that a launch reads fewer pointers: the runtime of `context`,
-  /// and the runtime's kernel.
+  /// References kept here so that a launch reads fewer pointers: the runtime of
+  /// `context`, and the runtime's kernel.
   mlir::tai::runtime::Runtime &runtime = context.session.getRuntime();
   mlir::tai::runtime::Kernel &launched = *kernel->kernel;
 };

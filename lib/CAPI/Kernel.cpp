@@ -89,8 +89,8 @@ const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
 /// Compiles the kernel, without locking the context.
 static TaiStatus resolve(TaiKernelImpl &kernel) noexcept {
   try {
-    // If compilation succeeds, do not read failures that the context has noted:
-    // another thread's call may be noting one at the same time.
+    // If compilation succeeds, failures that the context has noted are not
+    // read: another thread's call may be noting one at the same time.
     runtime::Status status = kernel.launched.resolve();
     return status ? TAI_OK : kernel.context.status(status);
   } catch (...) {
@@ -101,8 +101,8 @@ static TaiStatus resolve(TaiKernelImpl &kernel) noexcept {
 TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
                           uint64_t *results) {
   TaiContextImpl &context = kernel->context;
-  // Compile before locking the context: compilation takes long, and other
-  // threads may go on meanwhile.
+  // The kernel is compiled before the context is locked: compilation takes
+  // long, and other threads may go on meanwhile.
   if (LLVM_UNLIKELY(kernel->runtime.getDevice() != nullptr) &&
       !kernel->launched.resolved())
     if (TaiStatus status = resolve(*kernel); status != TAI_OK)

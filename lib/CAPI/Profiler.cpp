@@ -33,7 +33,8 @@ TaiStatus taiProfilerTrace(TaiContext context, const TaiTraceEvent **events,
   return call(*context, [&]() -> TaiStatus {
     std::vector<runtime::TraceEvent> found =
         context->session.getRuntime().trace(*lost);
-    // Sort events by their start; an event comes before the events within it.
+    // Events are sorted by their start; an event comes before the events within
+    // it.
     llvm::sort(found,
                [](const runtime::TraceEvent &a, const runtime::TraceEvent &b) {
                  return std::make_pair(a.startNs, -a.durationNs) <

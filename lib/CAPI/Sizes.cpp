@@ -24,13 +24,15 @@ static void give(const Struct &known, void *to, size_t size) {
   std::memset(static_cast<char *>(to) + common, 0, size - common);
 }
 
-/// Replaces an array of rows by a copy whose rows have `size` bytes.
+/// Replaces an array of structs by a copy in which each struct has `size`
+/// bytes.
 template <typename Row>
 static TaiStatus give(TaiContextImpl &context, const Row **rows, int64_t count,
                       size_t size) {
   if (size == sizeof(Row))
     return TAI_OK;
-  // The size of a row must be a multiple of the alignment of its members.
+  // The size of the caller's struct must be a multiple of the alignment of its
+  // members.
   if (size < alignof(Row) || size % alignof(Row))
     return context.usage("a row cannot have " + llvm::Twine(size) + " bytes");
   std::vector<uint64_t> &memory = context.sizedRows;

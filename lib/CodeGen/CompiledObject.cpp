@@ -14,13 +14,13 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-// The format: the magic, the symbol, the code, the demands of the adjoint, the
-// places, the counts, the loop levels, the warnings (the lines and columns of
-// all warnings, then the texts of each), the image of the device (its kind and
-// the number of its functions, or nothing; its bytes, its machine code, its
-// bitcode, the functions' names and accesses, their block sizes and their
-// places), and the trees up to the end. Each string is its length in eight
-// bytes and its bytes.
+// The format of a serialized object: the magic, the symbol, the code, the
+// demands of the adjoint, the places, the counts, the loop levels, the warnings
+// (the lines and columns of all warnings, then the texts of each), the image of
+// the device (its kind and the number of its functions, or nothing; its bytes,
+// its machine code, its bitcode, the functions' names and accesses, their block
+// sizes and their places), and the trees up to the end. Each string is its
+// length in eight bytes and its bytes.
 static constexpr StringLiteral magic = "TAIOBJ11\n";
 
 static void append(std::string &bytes, StringRef string) {
@@ -42,8 +42,8 @@ static std::optional<StringRef> consume(StringRef &bytes) {
   return string;
 }
 
-/// Appends a list of numbers as one string, in which each number takes eight
-/// bytes.
+/// Appends a list of numbers to a serialized object as one string, in which
+/// each number takes eight bytes.
 static void append(std::string &bytes, ArrayRef<int64_t> numbers) {
   std::string string(8 * numbers.size(), '\0');
   for (auto [i, number] : enumerate(numbers))
@@ -145,7 +145,8 @@ static void append(std::string &bytes, ArrayRef<Warning> warnings) {
       append(bytes, text);
 }
 
-/// Parses the warnings; false if `bytes` does not start with them.
+/// Parses the warnings of a serialized object; false if `bytes` does not start
+/// with them.
 static bool consumeWarnings(StringRef &bytes, std::vector<Warning> &warnings) {
   auto places = consumeNumbers(bytes);
   if (!places || places->size() % 2)

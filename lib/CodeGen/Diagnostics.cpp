@@ -42,7 +42,7 @@ static void appendSourceLine(std::string &text, StringRef file, unsigned number,
   text += (line + "\n").str();
   if (column == 0 || column > line.size() + 1)
     return;
-  // Copy tabs from the source line, so that the caret is below its column.
+  // Tabs of the source line are copied, so that the caret is below its column.
   for (char c : line.take_front(column - 1))
     text += c == '\t' ? '\t' : ' ';
   text += "^\n";
@@ -72,7 +72,8 @@ static std::string formatAt(FileLineColLoc place, StringRef kind,
 static void appendDiagnostic(std::string &text, Location location,
                              StringRef kind, StringRef message) {
   text += formatAt(findFileLocation(location), kind, message);
-  // If the code was inlined, also report where the function was called.
+  // If the code was inlined, the diagnostic also says where the function was
+  // called.
   location->walk([&](Location inner) {
     if (auto call = dyn_cast<CallSiteLoc>(inner))
       if (FileLineColLoc caller = findFileLocation(call.getCaller()))
@@ -129,7 +130,7 @@ void mlir::tai::printWarning(const Warning &warning) {
 //===----------------------------------------------------------------------===//
 
 LogicalResult DiagnosticCollector::handle(Diagnostic &diagnostic) {
-  // Ignore diagnostics of other threads that compile in the same context.
+  // Diagnostics of other threads that compile in the same context are ignored.
   if (llvm::get_threadid() != thread)
     return failure();
   if (diagnostic.getSeverity() == DiagnosticSeverity::Warning) {

@@ -23,8 +23,8 @@ using namespace mlir::tai;
 Linker::Linker() = default;
 
 Linker::~Linker() {
-  // End the session before destroying the layer: the session frees the linked
-  // code through the layer.
+  // The session is ended before the layer is destroyed, because it frees the
+  // linked code through the layer.
   if (session)
     consumeError(session->endSession());
   layer.reset();
@@ -33,8 +33,8 @@ Linker::~Linker() {
 Expected<std::unique_ptr<Linker>>
 Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
   std::unique_ptr<Linker> linker(new Linker());
-  // Link on the calling thread, without threads of the session's own: the
-  // compiler has its own threads.
+  // Code is linked on the calling thread, without threads of the ORC session's
+  // own, because the compiler has its own threads.
   auto control = SelfExecutorProcessControl::Create(
       nullptr, std::make_unique<InPlaceTaskDispatcher>());
   if (!control)
@@ -58,8 +58,8 @@ Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
         JITSymbolFlags::Exported | JITSymbolFlags::Callable};
   if (Error error = library.define(absoluteSymbols(std::move(symbols))))
     return error;
-  // Load the math libraries by name: the process may have loaded them without
-  // making their symbols visible.
+  // The math libraries are loaded by name, because the process may have loaded
+  // them without making their symbols visible.
   SmallVector<StringRef> names{"libm.so.6"};
   append_range(names, getVectorLibraries());
   for (StringRef name : names) {

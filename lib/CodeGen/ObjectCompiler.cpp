@@ -47,8 +47,8 @@ const TargetCpu &TargetCpu::getHost() {
     TargetCpu cpu;
     cpu.triple = sys::getProcessTriple();
     cpu.name = sys::getHostCPUName().str();
-    // Sort the names of CPU features, because the string is part of the key of
-    // cached code.
+    // The names of CPU features are sorted, because the string is part of the
+    // key of cached code.
     StringMap<bool> map = sys::getHostCPUFeatures();
     SmallVector<StringRef> names(map.keys());
     sort(names);
@@ -102,14 +102,14 @@ ObjectCompiler::create(const CodegenOptions &options) {
   TargetOptions targetOptions;
   targetOptions.AllowFPOpFusion =
       options.contract ? FPOpFusion::Fast : FPOpFusion::Standard;
-  // Exceptions do not pass through kernels.
+  // Exceptions do not pass through compiled kernels.
   targetOptions.ExceptionModel = ExceptionHandling::None;
   static constexpr CodeGenOptLevel levels[] = {
       CodeGenOptLevel::None, CodeGenOptLevel::Less, CodeGenOptLevel::Default,
       CodeGenOptLevel::Aggressive};
   std::unique_ptr<ObjectCompiler> compiler(new ObjectCompiler(options));
-  // Compile position-independent code in the small code model: the linker may
-  // place the code anywhere, and reaches the runtime through its own table.
+  // Code is position-independent, in the small code model: the linker may place
+  // it anywhere, and it reaches the runtime through its own table.
   compiler->machine.reset(target->createTargetMachine(
       triple, cpu->name, cpu->features, targetOptions, Reloc::PIC_,
       CodeModel::Small, levels[std::min(options.optLevel, 3u)], /*JIT=*/true));
@@ -152,7 +152,7 @@ Error ObjectCompiler::optimize(Module &module) {
   return guardFatalErrors(broken, "optimize", [&] { runPasses(module); });
 }
 
-/// Whether the SLP vectoriser should run on the module. Its time grows with the
+/// True if the SLP vectoriser should run on the module. Its time grows with the
 /// square of a block's size, and unrolled programs have blocks that would take
 /// seconds. Blocks with compensated sums are longer for the same work and gain
 /// more, so they may be larger.
@@ -216,8 +216,8 @@ void ObjectCompiler::runPasses(Module &module) {
   CGSCCAnalysisManager sccs;
   ModuleAnalysisManager modules;
   TargetLibraryInfoImpl libraryInfo(machine->getTargetTriple());
-  // Disable the transformation of pow(2^n, x) to exp2(n x): the product is
-  // rounded, and the error grows with it.
+  // The transformation of pow(2^n, x) to exp2(n x) is disabled, because the
+  // product is rounded, and the error grows with it.
   if (!options.fastMath)
     for (LibFunc function : {LibFunc_exp2, LibFunc_exp2f, LibFunc_exp2l})
       libraryInfo.setUnavailable(function);

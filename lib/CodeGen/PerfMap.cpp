@@ -28,7 +28,7 @@ public:
 
   void modifyPassConfig(MaterializationResponsibility &, jitlink::LinkGraph &,
                         jitlink::PassConfiguration &passes) override {
-    // Record functions before pruning: unreferenced symbols are dropped
+    // Functions are recorded before pruning: unreferenced symbols are dropped
     // although their code stays, because the assembler refers to local
     // functions by their section.
     auto functions = std::make_shared<std::vector<Function>>();

@@ -21,7 +21,8 @@ class LinkGraphLinkingLayer;
 
 namespace mlir::tai {
 
-/// Makes the layer record the functions that it links, if TAI_PERF_MAP is set.
+/// Makes the linking layer record the functions that it links for `perf`, if
+/// TAI_PERF_MAP is set.
 void addPerfMap(llvm::orc::LinkGraphLinkingLayer &layer);
 
 } // namespace mlir::tai

@@ -21,7 +21,7 @@ bool mlir::tai::verifiesEach() {
   return given && StringRef(given) == "1";
 }
 
-/// True for tai's own passes, whose names contain the namespace.
+/// True for the project's own LLVM passes, whose names contain its namespace.
 static bool isOurs(StringRef pass) {
   return pass.contains("tai::") || pass.contains("StencilGVN");
 }

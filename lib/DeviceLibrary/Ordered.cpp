@@ -31,7 +31,7 @@ uint32_t tai_dev_ordered_lanes() {
   if (tai_dev_block_dim() == 1)
     return 1;
 #endif
-  // The functions below need a whole warp.
+  // All threads of a warp must call the functions below together.
   if (static_cast<unsigned>(tai_dev_block_dim()) < warpSize)
     __builtin_trap();
   return warpSize;

@@ -171,8 +171,8 @@ static inline void runProgram(const uint64_t *table, uint64_t steps,
     auto *row = (const uint64_t *)rows[step & 1];
     const uint64_t *next = table + (step + 1) * stride;
     bool more = step + 1 < steps;
-    // The next row is loaded before the step runs, which hides the latency of
-    // the load, and is stored after it.
+    // The next row of the step table is loaded before the current step runs,
+    // which hides the latency of the load, and is stored after the step.
     uint64_t word = more && thread < stride ? next[thread] : 0;
     uint64_t part = row[0];
     runPart(part & (TAI_PART_APART - 1), row + 1);

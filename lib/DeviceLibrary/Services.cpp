@@ -72,7 +72,8 @@ struct Content {
 /// first, then the place, then the text.
 TaiDeviceRecord Content::measure() const {
   uint32_t left = TAI_DEVICE_RECORD_BYTES - sizeof(TaiDeviceRecord) - 2;
-  // The number of bytes that values must leave for the place and the text.
+  // The number of bytes of a message that are reserved for the place and the
+  // text, and that values must not use.
   constexpr uint32_t textReserve = 256;
   TaiDeviceRecord header = {};
   header.kind = kind;

@@ -34,8 +34,8 @@ inline double exchange(double value, unsigned from) {
       double, exchange(__builtin_bit_cast(uint64_t, value), from));
 }
 
-/// Combines the values of a whole warp, for all lanes, which must call
-/// together.
+/// Combines the values of all lanes of a warp; each lane gets the result. All
+/// lanes must call together.
 template <typename T, typename Combine>
 inline T combineInWarp(T value, Combine combine) {
 #pragma unroll

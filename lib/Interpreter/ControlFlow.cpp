@@ -98,7 +98,7 @@ static LogicalResult runCall(Run &run, Operation *op) {
   auto callee = cast<func::FuncOp>(run.program.getCallee(op));
   if (run.draws.calls.size() > 200)
     return run.fail(op, "calls nest too deeply");
-  // A function that calls itself has values of its own in each call.
+  // In a recursive function, each call has its own values.
   llvm::DenseMap<Value, Datum> outer = run.values;
   run.draws.calls.push_back(op);
   Data arguments = run.getOperands(op);
@@ -265,7 +265,8 @@ static LogicalResult runStructFor(Run &run, ParallelForOp loop) {
 
 static LogicalResult runParallelFor(Run &run, Operation *op) {
   auto loop = cast<ParallelForOp>(op);
-  // Draws outside the loop are counted apart from draws in the loop.
+  // Random numbers that are drawn outside of the loop are counted separately
+  // from those in the loop.
   auto outer = std::exchange(run.draws.drawn, {});
   LogicalResult result =
       loop.isStructFor() ? runStructFor(run, loop) : runBox(run, loop);

@@ -37,7 +37,7 @@ long double mlir::tai::interpreter::determinant(ArrayRef<long double> matrix,
   return sum;
 }
 
-/// Turns columns p and q by the angle of the given sine and cosine.
+/// Turns columns p and q of a matrix by the angle of the given sine and cosine.
 static void rotate(Matrix &matrix, int64_t n, int64_t p, int64_t q,
                    long double cosine, long double sine) {
   for (int64_t i = 0; i != n; ++i) {
@@ -64,8 +64,8 @@ static Matrix identity(int64_t n) {
   return result;
 }
 
-/// The rotation after which columns with squares a, c and product b are
-/// orthogonal.
+/// Computes the rotation after which columns with squares a, c and product b
+/// are orthogonal.
 static std::pair<long double, long double>
 findRotation(long double a, long double b, long double c) {
   if (b == 0)
@@ -77,7 +77,8 @@ findRotation(long double a, long double b, long double c) {
   return {cosine, tangent * cosine};
 }
 
-/// Brings values into descending order, with their columns.
+/// Sorts the singular values into descending order, together with their
+/// columns.
 static void sortColumns(Decomposition &parts, int64_t n) {
   for (int64_t i = 0; i != n; ++i)
     for (int64_t j = i + 1; j != n; ++j)
@@ -144,8 +145,8 @@ mlir::tai::interpreter::decomposeSingular(ArrayRef<long double> matrix,
         parts.left[i * n + j] /= parts.values[j];
       continue;
     }
-    // Any direction orthogonal to the columns before will do: take the
-    // coordinate axis whose part orthogonal to these columns is longest.
+    // Any direction orthogonal to the columns before will do, so the coordinate
+    // axis is taken whose part orthogonal to these columns is longest.
     Matrix best(n, 0);
     long double longest = 0;
     for (int64_t axis = 0; axis != n; ++axis) {

@@ -30,7 +30,7 @@ struct Decomposition {
 /// matrix, by Jacobi's rotations.
 Decomposition decomposeSymmetric(ArrayRef<long double> matrix, int64_t n);
 
-/// Computes the singular values of a matrix. The last one is negative if the
+/// Computes the singular values of a matrix. The last value is negative if the
 /// determinant is, so that `left` and `right` are rotations.
 Decomposition decomposeSingular(ArrayRef<long double> matrix, int64_t n);
 

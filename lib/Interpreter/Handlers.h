@@ -21,7 +21,8 @@ void addMemoryHandlers(Handlers &handlers);
 void addServiceHandlers(Handlers &handlers);
 void addVectorHandlers(Handlers &handlers);
 
-/// Applies the scalar function of an operation to each component.
+/// Applies the scalar function of an operation to each component of its
+/// operands.
 LogicalResult runScalars(Run &run, Operation *op);
 /// Checks the preconditions of a function; fails the launch if a precondition
 /// does not hold.

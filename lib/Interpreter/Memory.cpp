@@ -247,8 +247,9 @@ static LogicalResult checkIndices(Run &run, Operation *op,
                   TAI_FAIL_INDEX);
 }
 
-/// The number of the cell with these indices in a level. Cells are numbered
-/// row-major within a cell of the level above, one such cell after another.
+/// Returns the number of the cell with these indices in a level. Cells are
+/// numbered row-major within a cell of the level above, one such cell after
+/// another.
 static int64_t getCell(const FieldPlace &field, unsigned level,
                        ArrayRef<int64_t> indices) {
   int64_t cell = 0;
@@ -378,8 +379,8 @@ static LogicalResult runAtomic(Run &run, Operation *op) {
 // Topology
 //===----------------------------------------------------------------------===//
 
-/// The sparse level to which a topology operation applies, or null: the level
-/// that is `up` levels up, where 1 is the innermost level, or the nearest
+/// Returns the sparse level to which a topology operation applies, or null: the
+/// level that is `up` levels up, where 1 is the innermost level, or the nearest
 /// sparse level above it.
 static const FieldStorage::SparseLevel *findLevel(const FieldPlace &field,
                                                   int64_t up) {

@@ -145,8 +145,8 @@ Number interpreter::combine(AtomicKind kind, const Number &a, const Number &b) {
 // Integers
 //===----------------------------------------------------------------------===//
 
-/// Returns the result, or that it is undefined: it overflows, although the
-/// flags of the operation promise that it does not.
+/// Returns the result of integer arithmetic, or that it is undefined: it
+/// overflows, although the flags of the operation promise that it does not.
 static Outcome wrapping(Operation *op, const APInt &result, bool asSigned,
                         bool asUnsigned) {
   auto flagged = dyn_cast<arith::ArithIntegerOverflowFlagsInterface>(op);
@@ -221,8 +221,8 @@ static APInt unsignedCeilQuotient(const APInt &a, const APInt &b) {
   return a.urem(b).isZero() ? a.udiv(b) : a.udiv(b) + 1;
 }
 
-/// A shift. Its result is undefined for shifts by the width of the type or
-/// more.
+/// Computes a shift, whose result is undefined for shifts by the width of the
+/// type or more.
 template <APInt (*Shift)(const APInt &, unsigned)>
 static Outcome shift(Operation *op, Operands a, Type) {
   unsigned width = whole(a[0]).getBitWidth();
@@ -392,7 +392,8 @@ static long double reciprocalRoot(long double x) { return 1 / std::sqrt(x); }
 // The table
 //===----------------------------------------------------------------------===//
 
-/// The functions of elementwise operations, by the name of the operation.
+/// The functions that compute elementwise operations, by the name of the
+/// operation.
 static const llvm::StringMap<ScalarFunction> &getFunctions() {
   static const llvm::StringMap<ScalarFunction> functions = {
       {"arith.addi", addInts},

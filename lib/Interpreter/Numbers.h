@@ -24,10 +24,10 @@ namespace mlir::tai::interpreter {
 /// An integer (or index, of 64 bits) or a float, in the width of its type.
 using Number = std::variant<llvm::APInt, llvm::APFloat>;
 
-/// Bits of an integer or index type.
+/// Returns the number of bits of an integer or index type.
 unsigned getWidth(Type type);
 Number getZero(Type type);
-/// The value of a constant attribute.
+/// Returns the value of a constant attribute.
 Number getNumber(Attribute attribute);
 
 inline bool isTrue(const Number &number) {
@@ -41,7 +41,7 @@ inline Number fromIndex(int64_t index) {
 }
 /// Converts a float to f64, exactly.
 double toDouble(const Number &number);
-/// Rounds to the float type.
+/// Rounds a number to the float type `type`.
 Number fromDouble(long double number, Type type);
 
 // The representation of numbers in memory: i1 takes a byte, index eight.
@@ -49,7 +49,8 @@ int64_t getByteSize(Type type);
 Number readNumber(const char *from, Type type);
 void writeNumber(const Number &number, char *to);
 
-/// The result of an operation: a number, or the reason why it is undefined.
+/// The result of interpreting an operation: a number, or the reason why it is
+/// undefined.
 struct Outcome {
   std::optional<Number> number;
   std::string problem;
@@ -76,7 +77,8 @@ using ScalarFunction = Outcome (*)(Operation *op, ArrayRef<Number> operands,
 /// none.
 ScalarFunction findScalarFunction(StringRef name);
 
-/// Arithmetic on numbers of the same type.
+/// Combines two numbers of the same type by an atomic operation such as
+/// addition.
 Number combine(AtomicKind kind, const Number &a, const Number &b);
 Number add(const Number &a, const Number &b);
 Number subtract(const Number &a, const Number &b);

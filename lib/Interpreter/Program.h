@@ -16,8 +16,8 @@
 
 namespace mlir::tai::interpreter {
 
-/// A field of the program: how to compute addresses of its elements, and the
-/// sparse levels above it.
+/// A field as the interpreter needs it: how to compute addresses of its
+/// elements, and the sparse levels above it.
 struct FieldPlace {
   FieldLayout layout;
   FieldStorage storage;
@@ -32,10 +32,12 @@ struct Run;
 /// launch.
 using Handler = LogicalResult (*)(Run &run, Operation *op);
 
-/// A function with the handlers of its operations, and the fields it uses.
+/// A function to interpret, with the handlers of its operations, and the fields
+/// that it uses.
 class Program {
 public:
-  /// Null, with diagnostics, if an op of the function is not supported.
+  /// Makes the program of a function to interpret; null, with diagnostics, if
+  /// an op of the function is not supported.
   static std::unique_ptr<Program> create(ModuleOp module, StringRef function,
                                          const InterpreterOptions &options);
 
@@ -48,7 +50,7 @@ public:
   const FieldPlace &getField(StringAttr name) const {
     return *fields.find(name)->second;
   }
-  /// The function that a `func.call` calls.
+  /// Returns the function that a `func.call` calls.
   Operation *getCallee(Operation *call) const { return callees.lookup(call); }
 
 private:

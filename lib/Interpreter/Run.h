@@ -30,13 +30,13 @@ struct Array {
   std::unique_ptr<char[]> owned;
 };
 
-/// A variable (`tai.alloca`), or a stack of scalars.
+/// The memory of a variable (`tai.alloca`), or a stack of scalars.
 struct Variable {
   Numbers value;
 };
 
-/// An undefined result: the operation that yields it, and the reason. Using the
-/// value is an error.
+/// An undefined result: the operation that yields it, and the reason. Using
+/// such a value is an error.
 struct Undefined {
   Operation *op;
   std::string problem;
@@ -46,7 +46,7 @@ struct Undefined {
 /// a handle.
 struct Datum {
   Numbers numbers;
-  /// The undefined components, by position; null if there are none.
+  /// The undefined components of a value, by position; null if there are none.
   std::shared_ptr<std::map<size_t, Undefined>> undefined;
   std::shared_ptr<Variable> variable;
   std::shared_ptr<Array> array;
@@ -59,12 +59,13 @@ using Data = SmallVector<Datum, 2>;
 
 /// Counts random draws, by iteration and by the call path of the draw.
 struct DrawCounter {
-  /// The iteration of the current parallel loop.
+  /// The number of the current iteration of the parallel loop.
   int64_t iteration = 0;
   std::vector<Operation *> calls;
   std::map<std::vector<Operation *>, uint32_t> drawn;
 
-  /// The count of numbers that the operation has drawn in this iteration.
+  /// Returns the count of numbers that a random draw has drawn in this
+  /// iteration.
   uint32_t &at(Operation *draw) {
     std::vector<Operation *> path = calls;
     path.push_back(draw);
@@ -78,20 +79,21 @@ struct Message {
   SmallVector<uint64_t> slots;
 };
 
-/// One run of a function.
+/// The state of one run of a function in the interpreter.
 struct Run {
   Run(const Program &program, TaiFrame *frame)
       : program(program), frame(frame),
         order(program.getOptions().orderSeed + frame->launch) {}
 
-  /// Fails the launch at an operation.
+  /// Fails the launch at an operation with a message.
   LogicalResult fail(Operation *op, const Twine &message,
                      int32_t failure = TAI_FAIL_CHECK);
-  /// Reports a failure at an operation, and continues.
+  /// Reports a failure at an operation, and lets the run continue.
   void report(Operation *op, StringRef message, ValueRange values,
               int32_t failure);
   Message getMessage(ValueRange values);
-  /// Checks for interrupts; called at each iteration of a loop.
+  /// Passes a safepoint, which checks for interrupts; called at each iteration
+  /// of a loop.
   LogicalResult passSafepoint();
 
   Datum &get(Value value) { return values[value]; }
@@ -112,21 +114,21 @@ struct Run {
       return failure();
     return program.getHandler(op)(*this, op);
   }
-  /// Fails if an operation uses an undefined value. Arithmetic propagates it,
-  /// and a select may discard it.
+  /// Fails if an operation uses an undefined value. Arithmetic propagates such
+  /// a value, and a select may discard it.
   LogicalResult checkDefined(Operation *op);
   LogicalResult runBlock(Block &block, ArrayRef<Datum> arguments);
 
   const Program &program;
   TaiFrame *frame;
-  /// Draws the order of iterations, if that is random.
+  /// Draws the order of the iterations of parallel loops, if that is random.
   std::mt19937_64 order;
   llvm::DenseMap<Value, Datum> values;
-  /// The operands of the last block's terminator.
+  /// The operands of the terminator of the block that ran last.
   Data ended;
   /// Some value is undefined.
   bool hasUndefined = false;
-  /// Stores to inactive cells do nothing; see `tai.kernel`.
+  /// True if stores to inactive cells do nothing; see `tai.kernel`.
   bool keepsActivity = false;
   DrawCounter draws;
 };

@@ -42,7 +42,8 @@ static LogicalResult runRandom(Run &run, Operation *op) {
             Datum(Number(APInt(available, drawn).trunc(width))));
     return success();
   }
-  // A float gets a random bit for each bit of its significand.
+  // A float gets a random bit for each bit of its significand, so that all its
+  // digits are random.
   unsigned kept = APFloat::semanticsPrecision(floating.getFloatSemantics());
   run.set(
       draw.getValue(),
@@ -110,7 +111,7 @@ static LogicalResult runCheckClose(Run &run, Operation *op) {
   double expected = toDouble(run.getNumber(check.getExpected()));
   double tolerance = check.getTolerance().convertToDouble();
   double allowed = tolerance * std::fmax(1, std::abs(expected));
-  // This comparison is false if either number is NaN, which is a failure.
+  // This comparison is false if either number is NaN, which then is a failure.
   if (std::abs(actual - expected) <= allowed)
     return success();
   int32_t kinds[] = {TAI_VALUE_F64, TAI_VALUE_F64, TAI_VALUE_F64};

@@ -169,8 +169,8 @@ static LogicalResult runBroadcast(Run &run, Operation *op) {
   return success();
 }
 
-/// The offset at which the part of a vector at `position` begins; -1 if the
-/// position is out of range.
+/// Returns the offset at which the part of a vector at `position` begins; -1 if
+/// the position is out of range.
 static int64_t getOffset(VectorType type, ArrayRef<int64_t> position) {
   int64_t offset = 0;
   for (auto [i, extent] : llvm::enumerate(type.getShape())) {
@@ -182,8 +182,8 @@ static int64_t getOffset(VectorType type, ArrayRef<int64_t> position) {
   return offset;
 }
 
-/// The position of an extract or insert; `evaluate` returns the value of a
-/// dynamic index.
+/// Returns the position of an extract or insert; `evaluate` returns the value
+/// of a dynamic index.
 template <typename Op>
 static SmallVector<int64_t> getPosition(Op op,
                                         function_ref<int64_t(Value)> evaluate) {
@@ -251,7 +251,8 @@ static LogicalResult runToElements(Run &run, Operation *op) {
   return success();
 }
 
-/// Selects rows of two vectors by their numbers in the concatenation of both.
+/// Interprets a shuffle: selects rows (leading slices) of two vectors by their
+/// numbers in the concatenation of both.
 static LogicalResult runShuffle(Run &run, Operation *op) {
   auto shuffle = cast<vector::ShuffleOp>(op);
   Numbers both = run.get(shuffle.getV1()).numbers;
@@ -262,7 +263,8 @@ static LogicalResult runShuffle(Run &run, Operation *op) {
   Datum result;
   for (int64_t row : shuffle.getMask())
     for (int64_t i = 0; i != size; ++i) {
-      // A row of -1 in the mask leaves the component undefined.
+      // An index of -1 in the shuffle's mask means that the row of the result
+      // is undefined.
       if (row < 0)
         return run.fail(op, "the mask leaves a component undefined");
       result.numbers.push_back(both[row * size + i]);
@@ -320,7 +322,7 @@ static LogicalResult runReduction(Run &run, Operation *op) {
 // Matrices
 //===----------------------------------------------------------------------===//
 
-/// The sum of n products, added in their order.
+/// Returns the sum of n products, added in their order.
 static Number
 sumProducts(int64_t n, function_ref<std::pair<Number, Number>(int64_t)> get) {
   std::optional<Number> sum;
@@ -520,8 +522,8 @@ static LogicalResult runSymEig(Run &run, Operation *op) {
   auto eig = cast<SymEigOp>(op);
   int64_t n = getRows(eig.getMatrix());
   SmallVector<long double> a = widen(run.get(eig.getMatrix()).numbers);
-  // Only the lower triangle of the symmetric matrix counts: copy it to the
-  // upper one.
+  // Only the lower triangle of the symmetric matrix counts, and is copied to
+  // the upper one.
   for (int64_t i = 0; i != n; ++i)
     for (int64_t j = i + 1; j != n; ++j)
       a[i * n + j] = a[j * n + i];

@@ -14,7 +14,8 @@
 
 using namespace mlir;
 
-/// The options of a pass that concerns the kernels to be differentiated.
+/// Returns the options of a pass that concerns the kernels to be
+/// differentiated.
 template <typename Options>
 static Options getKernelsOf(const tai::AutodiffOptions &options) {
   Options result;
@@ -26,19 +27,21 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
                               const AutodiffOptions &options) {
   pm.addPass(createExpandGradients());
   addContextModes(pm, options);
-  // Inline helpers into the kernels that call them: a call hides their reads.
+  // Helpers are inlined into the kernels that call them, because a call would
+  // hide their reads.
   addInliner(pm);
   pm.addPass(createRecognizeReductions());
   addPerFunction(pm, [](OpPassManager &function) {
-    // Turn local variables into values, so that later passes see dependences.
+    // Local variables become values, so that later passes see dependences.
     function.addPass(createEliminateLocals());
     addCanonicalization(function);
-    // Make equal indices one value, so that accesses to equal elements are
+    // Equal indices become one value, so that accesses to equal elements are
     // recognised.
     function.addPass(createCSEPass());
   });
   pm.addPass(createExpandAtomics(getKernelsOf<ExpandAtomicsOptions>(options)));
-  // Check the program as written: flattened branches hide conditions.
+  // The data access rules are checked on the program as written, because
+  // flattened branches hide conditions.
   pm.addPass(
       createCheckAccessRules(getKernelsOf<CheckAccessRulesOptions>(options)));
   pm.addPass(

@@ -31,7 +31,7 @@ namespace {
 /// inlined into their callers.
 struct Helpers {
   llvm::SetVector<Operation *> functions;
-  /// Functions that are referenced but not called: they stay in place.
+  /// Functions that are referenced but not called, and so stay in place.
   llvm::SetVector<Operation *> named;
 
   Helpers(ModuleOp module, const llvm::SetVector<Operation *> &own) {
@@ -176,7 +176,7 @@ llvm::SetVector<Operation *> Isolate::collectOwn() {
   return own;
 }
 
-/// Verifies the code that is left unchanged.
+/// Verifies the code of the module that the pipeline leaves unchanged.
 LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
   ModuleOp module = getOperation();
   SymbolTable symbols(module);
@@ -221,7 +221,8 @@ LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
   return success();
 }
 
-/// Runs the passes on the module itself, which contains nothing else.
+/// Runs the passes on the module itself, which contains nothing but code of
+/// tai.
 LogicalResult Isolate::runOnAll(const llvm::SetVector<Operation *> &own) {
   ModuleOp module = getOperation();
   if (!keep)
@@ -264,7 +265,7 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
     moved.clear();
   };
 
-  // Helpers keep their order relative to the lowered functions.
+  // Helper functions keep their order relative to the lowered functions.
   Block *body = part.getBody();
   for (Operation &op : llvm::make_early_inc_range(*module.getBody())) {
     if (&op == part)
@@ -297,7 +298,8 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
         op.moveBefore(body, body->end());
       }
     } else if (helpers.named.contains(&op)) {
-      // The passes must find the op by its name: copy it.
+      // The passes must find the op by its name, so it is copied into the
+      // module on which they run.
       stays(op);
       copied.insert(getName(op));
       Operation *copy = builder.clone(op);
@@ -332,8 +334,8 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
                  .append(name.getValue(), "': the name is taken")
                  .attachNote(known->getLoc())
              << "by this";
-    // The op is no conflict if both modules only declare it, or if it was
-    // copied so that passes find it by name.
+    // An op of the same name is no conflict if both modules only declare it, or
+    // if it was copied so that passes find it by name.
     auto declared = dyn_cast<LLVM::LLVMFuncOp>(op);
     if (known->getName() == op.getName() &&
         (!declared || declared.isExternal()))
@@ -363,7 +365,7 @@ void Isolate::runOnOperation() {
            helpers.functions.contains(function);
   });
   LogicalResult result = success();
-  // Let the passes report requested names without a function.
+  // The passes report requested names for which there is no function.
   bool isEmpty = own.empty() && names.empty();
   if (isAll && !isEmpty)
     result = runOnAll(own);

@@ -37,25 +37,25 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
   pm.addPass(createExpandGradients());
   pm.addPass(createCheckLowerable());
   addContextModes(pm, options);
-  // Fuse launches first, while kernels are as the program wrote them.
+  // Launches are fused first, while kernels are as the program wrote them.
   if (options.optLevel > 0 && !checked && options.bounds != BoundsMode::Clamp &&
       options.fuseLaunches) {
     pm.addPass(createFuseLaunches());
   }
 
-  // Inline helpers into the kernels that call them.
+  // Helpers are inlined into the kernels that call them.
   addInliner(pm);
   RecognizeReductionsOptions reductions;
   reductions.checks = true;
   reductions.oneThread = oneThread;
   pm.addPass(createRecognizeReductions(reductions));
 
-  // Fold angles before any other pass that folds constants.
+  // Angles are folded before any other pass that folds constants.
   pm.addPass(createFoldAngles());
 
-  // Check indices of the program as written: a report names the index that the
-  // program computed. From here on, kernels with run-time checks are not
-  // changed.
+  // Indices are checked in the program as written, so that a report names the
+  // index that the program computed. From here on, kernels with run-time checks
+  // are not changed.
   CheckBoundsOptions bounds;
   if (!checked && options.bounds == BoundsMode::Clamp) {
     bounds.bounds = BoundsMode::Clamp;
@@ -67,8 +67,8 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
 
 void tai::addCanonicalization(OpPassManager &pm) {
   pm.addPass(createFoldAngles());
-  // Simplify large bodies separately: the canonicaliser would visit all of a
-  // body again after each rewrite in it.
+  // Large bodies are simplified separately: the canonicaliser would visit all
+  // of a body again after each rewrite in it.
   pm.addPass(createSimplifyHugeBodies());
   pm.addPass(
       createCanonicalizerPass(GreedyRewriteConfig(), tai::getBrokenPatterns()));

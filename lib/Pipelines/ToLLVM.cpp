@@ -27,7 +27,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     if (fast) {
       function.addPass(createVersionExtents());
       function.addPass(createUnrollStencils());
-      // Versions whose iterations cannot meet need no order.
+      // This pass makes versions of loops for different slots. Versions whose
+      // iterations cannot meet need no order.
       function.addPass(createVersionSlots());
     }
     if (options.oneThread)
@@ -37,25 +38,25 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
       function.addPass(createScatterToGather());
       function.addPass(createNormalizeIndices());
       function.addPass(createVersionInterior());
-      // Fold the conditions that tai-version-interior has made constant in the
-      // interior.
+      // The conditions that tai-version-interior has made constant in the
+      // interior are folded.
       addCanonicalization(function);
     }
     if (fast && options.skip.has(Skip::UntakenBranches))
       function.addPass(createSinkAdjoints());
-    // One test of the results replaces many tests of single values; fast-math
-    // assumes that all of these succeed.
+    // One test of the results replaces many tests of single values. Fast-math
+    // assumes that all of these tests succeed.
     if (fast && !options.fastMath)
       function.addPass(createVersionGuards());
-    // With shadow execution, vectors stay values: memory that this pass creates
-    // would have no shadows.
+    // With shadow execution, vectors stay values, because memory that this pass
+    // creates would have no shadows.
     if (fast && !options.shadow)
       function.addPass(createVectorsToMemory());
     // From here on, values are scalars, and loops run over boxes.
     function.addPass(createScalarize());
   });
-  // Guard divisions when they are scalar, while loops over fields still show
-  // the ranges of their indices.
+  // Divisions are guarded when they are scalar, while loops over fields still
+  // show the ranges of their indices.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
@@ -72,7 +73,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     if (fast)
       function.addPass(createCSEPass());
 
-    // Plan accumulations while they still name fields.
+    // Accumulations are planned while they still name fields.
     function.addPass(createRelaxAtomics());
   });
 

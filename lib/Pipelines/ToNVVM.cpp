@@ -36,8 +36,8 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
     }
     function.addPass(createScalarize());
   });
-  // Guard divisions when they are scalar, while loops over fields still show
-  // the ranges of their indices.
+  // Divisions are guarded when they are scalar, while loops over fields still
+  // show the ranges of their indices.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
@@ -57,8 +57,8 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
       function.addPass(createCoarsenThreads());
   });
 
-  // Narrow indices while accesses name fields: the parts of their addresses are
-  // then known to be in range.
+  // Indices are narrowed while accesses name fields: the parts of their
+  // addresses are then known to be in range.
   pm.addPass(createNarrowIndices());
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;

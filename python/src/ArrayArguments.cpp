@@ -43,7 +43,8 @@ struct TapedArray {
 };
 /// The arrays of the tape that a thread records.
 struct TapedArrays {
-  /// Kept alive: otherwise another tape could get its address.
+  /// The tape is kept alive, because otherwise another tape could get its
+  /// address.
   py::object tape;
   std::unordered_map<PyObject *, TapedArray> arrays;
 };
@@ -59,7 +60,8 @@ TapedArray *findTaped(PyObject *object) {
 }
 
 void forgetArrays() {
-  // Destructors of the arrays may call this function again.
+  // The pointer is cleared first, because destructors of the arrays may call
+  // this function again.
   delete std::exchange(taped, nullptr);
 }
 
@@ -148,7 +150,8 @@ Match HeldArrays::matchTaped(const Range &range, PyObject *object, Slots &slots,
   const TapedArray *found = findTaped(object);
   if (arg.isWritten || !found)
     return Match::No;
-  // Copied: other threads may change the entry while the adjoint is planned.
+  // The entry is copied, because other threads may change it while the adjoint
+  // is planned.
   const TapedArray known = *found;
   if (known.begin != range.begin || known.end != range.end)
     return Match::No;

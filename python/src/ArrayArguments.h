@@ -131,7 +131,7 @@ private:
 /// A hash of the bytes: two different contents have the same hash in one case
 /// in 2⁶⁴.
 uint64_t digest(uint64_t address, uint64_t bytes);
-/// A hash of some of the bytes.
+/// A hash of a sample of the bytes, for large arrays.
 uint64_t sample(uint64_t address, uint64_t bytes);
 
 /// Sets the tape that is recording, or None.

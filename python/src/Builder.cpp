@@ -120,7 +120,8 @@ public:
     return regions.back();
   }
 
-  /// The last arguments get the given names, for remarks.
+  /// Makes a block with arguments; the last arguments get the given names, for
+  /// remarks.
   Block block(const RegionRef &region, const std::vector<Type> &arguments,
               const std::vector<std::string> &names) {
     std::vector<MlirType> argumentTypes;
@@ -150,8 +151,8 @@ public:
     return results(made);
   }
 
-  /// An `arith.constant` at the start of `block`, so that it dominates all ops
-  /// there.
+  /// Makes an `arith.constant` at the start of `block`, so that it dominates
+  /// all ops there.
   Value constant(Block block, Type type, const py::object &value) {
     MlirOperationState state =
         mlirOperationStateGet(toRef(constantName), location);
@@ -176,7 +177,7 @@ public:
     }
   }
 
-  /// The names of the ops of a block, nested ones excluded.
+  /// Lists the names of the ops of a block, nested ones excluded.
   std::vector<std::string> opNames(Block block) {
     std::vector<std::string> names;
     for (MlirOperation op = mlirBlockGetFirstOperation(block.handle);

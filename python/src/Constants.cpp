@@ -47,7 +47,7 @@ bool isIterated(PyObject *value) {
          std::strcmp(Py_TYPE(value)->tp_name, "collections.deque") == 0;
 }
 
-/// Whether the value is memory of NumPy's or Python's own array types.
+/// True if the value is memory of NumPy's or Python's own array types.
 bool isBuffer(PyObject *value) {
   return PyObject_CheckBuffer(value) && !PyBytes_Check(value);
 }
@@ -67,7 +67,7 @@ public:
   View(const View &) = delete;
   View &operator=(const View &) = delete;
 
-  /// The elements in C order.
+  /// Returns the elements of an array in C order, as bytes.
   std::string contents() const {
     std::string bytes(static_cast<size_t>(buffer.len), '\0');
     if (buffer.len &&
@@ -166,7 +166,8 @@ bool Constant::takeBuffer(PyObject *value) {
     return false;
   const Py_buffer &buffer = view.buffer;
   format = buffer.format ? buffer.format : "B";
-  // The bytes of object elements are addresses, not values.
+  // The bytes of object elements are addresses, not values, so such arrays
+  // cannot be compared.
   if (format.find('O') != std::string::npos)
     return false;
   kind = Kind::Buffer;
@@ -302,7 +303,7 @@ int Constant::traverse(visitproc visit, void *arg) const {
 }
 
 void Constant::clear() {
-  // Matches nothing from now on.
+  // The constant matches no value from now on.
   kind = Kind::Identity;
   type = py::object();
   object = py::object();
@@ -352,7 +353,8 @@ static uint64_t stateOf([[maybe_unused]] const PyDictObject *dict) {
 }
 
 bool Reads::Stored::isAsSeen() const {
-  // If the owner is gone, another object may have its address.
+  // If the owner is gone, another object may have its address, so nothing
+  // holds.
   if (reads.front().getOwner() != owner)
     return false;
   const PyDictObject *dict = numberedDict(owner);

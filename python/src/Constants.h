@@ -22,7 +22,8 @@
 
 namespace taipy {
 
-/// The object behind a weak reference, or null. Not owned.
+/// Returns the object behind a weak reference, or null. The reference is
+/// borrowed.
 inline PyObject *referent(PyObject *weak) {
   PyObject *object = PyWeakref_GET_OBJECT(weak);
   return object == Py_None ? nullptr : object;
@@ -41,7 +42,7 @@ public:
   /// \throws py::error_already_set where it is nested too deeply.
   explicit Constant(py::handle value);
 
-  /// The object itself, compared by identity.
+  /// Makes a constant that is the object itself, compared by identity.
   static Constant identity(py::handle value);
   /// The object, compared by identity but not kept alive. When the object is
   /// gone, nothing matches.
@@ -53,7 +54,8 @@ public:
                                   : matchesContents(given);
   }
 
-  /// Whether the original object is mutable.
+  /// True if the original object is mutable, so that its contents must be
+  /// compared again.
   bool canChange() const;
 
   int traverse(visitproc visit, void *arg) const;
@@ -82,7 +84,7 @@ private:
   bool matchesBuffer(PyObject *given) const;
 
   Kind kind = Kind::Identity;
-  /// The type of the value; unused for identities.
+  /// The Python type of the value; unused for identities.
   py::object type;
   /// The object or the weak reference to it, the number or the text; the name
   /// of the attribute of `Wrapped`.
@@ -95,15 +97,15 @@ private:
 
 /// An attribute of an object that a kernel read while it was compiled.
 struct Read {
-  /// From a tuple of the owner or a weak reference to it, the name, and the
-  /// `Constant` of the attribute's value.
+  /// Makes a read from a tuple of the owner or a weak reference to it, the
+  /// name, and the `Constant` of the attribute's value.
   explicit Read(const py::tuple &described)
       : owner(described[0]), name(described[1]), constant(described[2]),
         value(&constant.cast<const Constant &>()) {}
 
-  /// Whether the attribute is unchanged.
+  /// True if the attribute still has the value that was read.
   bool holds() const;
-  /// Null if the owner is gone.
+  /// Returns the owner of the attribute, or null if the owner is gone.
   PyObject *getOwner() const {
     return PyWeakref_Check(owner.ptr()) ? referent(owner.ptr()) : owner.ptr();
   }
@@ -137,7 +139,7 @@ public:
   int traverse(visitproc visit, void *arg) const;
 
 private:
-  /// The reads from the dictionary of one object.
+  /// The attributes that were read from the dictionary of one object.
   struct Stored {
     bool isAsSeen() const;
     bool look();

@@ -36,7 +36,8 @@ inline void settle() {
   if (!afterCall())
     throw py::error_already_set();
 }
-/// Returns the result of a call of libtai after settle().
+/// Ends a call of libtai: handles what its safepoints have noted (see
+/// settle()), and returns the result of the call.
 template <typename Result> Result settled(Result result) {
   settle();
   return result;
@@ -74,7 +75,7 @@ using ContextRef = std::shared_ptr<Context>;
 /// `tai.errors.from_core`, without throwing.
 void setError(TaiContext context, TaiStatus status);
 
-/// A kernel, which may not be compiled yet.
+/// A kernel of the C API, which may not be compiled yet.
 struct Kernel {
   Kernel(ContextRef context, TaiKernel handle)
       : context(std::move(context)), handle(handle) {}

@@ -59,7 +59,7 @@ struct ExchangeTable {
   /// A borrowed view of the tensor, valid until the tensor is changed; -1 and a
   /// Python error on failure. May be null.
   int (*view)(void *object, Tensor *tensor);
-  /// The current stream of the tensor's library.
+  /// The function that gives the current stream of the tensor's library.
   int (*currentStream)(int32_t deviceType, int32_t deviceNumber, void **stream);
 };
 

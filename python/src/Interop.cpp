@@ -35,7 +35,7 @@ template <> constexpr const char *usedNameOf<ManagedVersioned>() {
   return "used_dltensor_versioned";
 }
 
-/// The data that a capsule of ours points to.
+/// The data that a DLPack capsule made by this module points to.
 template <typename M> struct Export {
   M managed{};
   std::vector<int64_t> shape, strides;

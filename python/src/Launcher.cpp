@@ -33,7 +33,8 @@ namespace {
 /// or `ti.reset` has replaced.
 uint64_t generation = 1;
 
-/// The number of threads that record a tape, and whether this thread does.
+/// The number of threads that record a tape, and a flag that tells whether this
+/// thread does.
 int recordingThreads = 0;
 thread_local bool isRecordingHere = false;
 inline bool isRecording() {
@@ -113,7 +114,7 @@ bool mustLookAt(const PyObject *number) {
   return !isKnownSite(isRead ? reportedSites : knownSites);
 }
 
-/// Whether torch records the current computations.
+/// True if torch records the current computations.
 bool isTorchRecording() {
   static PyObject *isGradEnabled = nullptr;
   if (!isGradEnabled) {
@@ -156,14 +157,16 @@ struct Result {
 };
 
 struct Specialization {
-  // Each launch compares this with the global `generation`.
+  // The generation for which this launcher's data is valid. Each launch
+  // compares it with the global `generation`.
   uint64_t generation = 0;
   /// The number of calls that use this specialisation: other threads, and
   /// Python code of the arguments, may run during a call, and must not drop it.
   int users = 0;
   TaiKernel handle = nullptr;
   std::vector<Arg> args;
-  /// Attributes that the code depends on besides the arguments.
+  /// Attributes of Python objects on which the code depends, besides the
+  /// arguments.
   Reads reads;
   bool grad = false;
   /// The parts of a launch that a tape must record.
@@ -173,7 +176,8 @@ struct Specialization {
     Python  // Python says where adjoints are
   } tracking = Tracking::None;
   Result result;
-  /// The kernel takes several arrays and writes to one of them.
+  /// True if the kernel takes several arrays and writes to one of them, so that
+  /// they may overlap.
   bool arraysMayAlias = false;
   std::shared_ptr<Kernel> kernel;
 
@@ -183,7 +187,7 @@ struct Specialization {
   }
 };
 
-/// Prevents that a specialisation is dropped.
+/// Prevents that a specialisation is dropped while it is used.
 struct InUse {
   explicit InUse(Specialization &spec) : spec(spec) { ++spec.users; }
   ~InUse() { --spec.users; }
@@ -315,7 +319,7 @@ PyObject *toPython(const Result &result, uint64_t slot) {
       slot &= (uint64_t(1) << result.bits) - 1;
     return PyLong_FromUnsignedLongLong(slot);
   default:
-    // The value fills the low bits of its slot.
+    // The value fills the low bits of its slot, and its sign is extended.
     return PyLong_FromLongLong(
         static_cast<int64_t>(slot << (64 - result.bits)) >> (64 - result.bits));
   }
@@ -326,7 +330,7 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
     ++forwardLaunches;
   int64_t count = static_cast<int64_t>(numSlots);
   bool hasResults = !spec.grad && spec.result.count;
-  // Results up to a matrix of 4x4 cost no allocation.
+  // Results up to a matrix of 4x4 need no memory allocation.
   constexpr int mostFew = 16;
   uint64_t few[mostFew];
   std::vector<uint64_t> many;
@@ -446,8 +450,8 @@ Match launchKnown(Launcher *self, PyObject *const *args,
       i = std::min(i, all.size());
       continue;
     }
-    // The specialisation used last goes to the end, unless other threads moved
-    // it.
+    // The specialisation that was used last is moved to the end of the list,
+    // unless other threads have moved it.
     if (i + 1 < all.size() && all[i].get() == spec)
       std::swap(all[i], all.back());
     return Match::Yes;
@@ -623,7 +627,7 @@ void taipy::bindLauncher(py::module_ &module) {
     readNumbers.insert(number.ptr());
   });
   module.def("forget_numbers", [] { readNumbers.clear(); });
-  // The caller keeps the code object alive.
+  // The caller keeps the code object alive, so that its address identifies it.
   module.def("note_site", [](const py::object &code, int line,
                              const py::object &launcher) {
     knownSites.insert(siteOf(reinterpret_cast<PyCodeObject *>(code.ptr()), line,
@@ -679,7 +683,8 @@ void taipy::bindLauncher(py::module_ &module) {
                drop(all, isOld);
                all.push_back(std::move(made));
              });
-  // Launches with slots that the caller packed: vectors, matrices, copies.
+  // Does launches whose slots the caller has packed: with vectors, matrices or
+  // copies.
   module.def("launch_slots",
              [](const std::shared_ptr<Kernel> &kernel, bool grad,
                 const std::vector<uint64_t> &slots, const py::tuple &result) {

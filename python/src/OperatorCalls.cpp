@@ -26,9 +26,10 @@ using namespace taipy;
 
 namespace {
 
-/// Operators with more parameters are left to Python.
+/// The most parameters of an operator; others are left to Python.
 constexpr size_t mostParameters = 32;
-/// Larger tensors are cleared by torch, with its threads.
+/// The largest tensor that is cleared here; larger ones are cleared by torch,
+/// with its threads.
 constexpr int64_t mostBytesToClear = 1 << 18;
 /// The bytes of adjoints of outputs that are copied to the stack.
 constexpr size_t mostBytesOfSeeds = 4096;
@@ -106,7 +107,8 @@ bool OperatorCalls::makeZeros(PyObject *like, py::object &made) const {
   return bool(take(PyObject_CallMethodNoArgs(made.ptr(), zero)));
 }
 
-/// The outputs of a call: one tensor, a tuple, or None.
+/// Runs the operator forward; returns its outputs: one tensor, a tuple, or
+/// None.
 PyObject *OperatorCalls::runForward(PyObject *const *inputs) {
   if (likes.empty() || isLarge() || !isKnown(inputs))
     Py_RETURN_NONE;
@@ -248,7 +250,7 @@ PyObject *classify(PyObject *self, PyObject *const *inputs, Py_ssize_t count) {
   });
 }
 
-/// Notes that a launch with such types of numbers was checked.
+/// Notes that a launch with these types of numbers was checked.
 PyObject *note(PyObject *self, PyObject *types) {
   return runForPython([&]() -> PyObject * {
     std::vector<PyObject *> all;

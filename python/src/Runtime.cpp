@@ -140,7 +140,7 @@ py::object readElement(const Field &field, const py::tuple &indices,
   return readAt(field, toIndices(field, indices), component);
 }
 
-/// All components of one element.
+/// Reads all components of one element of a field.
 py::list readAll(const Field &field, const py::tuple &indices) {
   std::vector<int64_t> at = toIndices(field, indices);
   py::list values(field.numComponents());

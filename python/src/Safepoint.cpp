@@ -13,7 +13,7 @@ using namespace taipy;
 thread_local CallState taipy::callState;
 
 namespace {
-/// Python's main thread, the only thread that handles signals.
+/// The number of Python's main thread, the only thread that handles signals.
 unsigned long mainThread = 0;
 
 /// After releasing the lock, the main thread acquires it for signals at only
@@ -30,7 +30,7 @@ bool handleSignals() {
 
 int atSafepoint() {
   CallState &state = callState;
-  // An interrupted call does not go on.
+  // A call that was interrupted does not go on.
   if (state.isInterrupted)
     return 0;
   if (!state.released) {
@@ -96,7 +96,7 @@ int raiseAgain(void *error) {
   return -1;
 }
 
-/// Whether a signal handler has raised the exception of a traceback.
+/// True if a signal handler has raised the exception of a traceback.
 bool isOfHandler(PyObject *trace) {
   // An exception that no Python code has raised has no traceback.
   if (!trace)

@@ -21,15 +21,17 @@
 
 namespace taipy {
 
-/// The state that safepoints leave for the end of the call.
+/// State that safepoints within a call keep for the end of the call.
 struct CallState {
-  /// Set if the lock has been released.
+  /// The state of the Python thread, set if Python's lock has been released.
   PyThreadState *released = nullptr;
-  /// A signal handler has raised an exception, which is set.
+  /// True if a signal handler has raised an exception, which is the current
+  /// Python error.
   bool isInterrupted = false;
-  /// Whether the lock has been released or a handler has raised.
+  /// True if Python's lock has been released or a handler has raised an
+  /// exception.
   bool isChanged = false;
-  /// The call destroys an object, and must not raise.
+  /// True if the call destroys an object, and must not raise an exception.
   bool isTeardown = false;
 };
 
@@ -41,7 +43,7 @@ extern std::atomic<bool> warningsWait;
 /// Issues pending warnings; false if that has raised.
 bool tellWarnings();
 
-/// Acquires the lock again if a safepoint has released it.
+/// Acquires Python's lock again if a safepoint has released it.
 void retakeLock();
 
 /// Call after each call of libtai, before Python is used

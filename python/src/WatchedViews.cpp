@@ -26,8 +26,8 @@ struct View {
   bool isOnDevice;
   uint64_t digest = 0;
 
-  /// The part that is compared: all elements, or a sample spread over the
-  /// field.
+  /// Returns the part of the view that is compared: all elements, or a sample
+  /// spread over the field.
   View sampled() const {
     constexpr uint64_t bytes = 2048, alignment = 16;
     if (count * size <= bytes)
@@ -91,9 +91,9 @@ struct Watched {
   bool isComparable() const {
     return records >= 0 && records == countRecords();
   }
-  /// Whether memory has changed. Unless `changed` is null, the numbers of
-  /// changed views are appended to it, and the new digests replace the old
-  /// ones.
+  /// Finds out whether memory has changed. Unless `changed` is null, the
+  /// numbers of changed views are appended to it, and the new digests replace
+  /// the old ones.
   Changed compare(std::vector<size_t> *changed) {
     bool comparable = isComparable(), any = false;
     for (size_t i = 0; i < views.size(); ++i) {

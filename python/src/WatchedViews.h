@@ -22,8 +22,8 @@ namespace taipy {
 enum class Changed { No, Yes, /* A Python exception has been raised. */ Error };
 /// The number of threads that watch views; changed with Python's lock held.
 extern int watchingViews;
-/// Whether the memory of a view differs from its contents after the last
-/// recorded launch, and Python has not written to a field since.
+/// Finds out whether the memory of a view differs from its contents after the
+/// last recorded launch, and Python has not written to a field since.
 Changed compareViews();
 inline Changed haveViewsChanged() {
   return __builtin_expect(watchingViews == 0, true) ? Changed::No

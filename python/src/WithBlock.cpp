@@ -35,7 +35,8 @@ struct WithBlock {
   bool isOpen;
 };
 
-/// The exception that is being raised, put aside.
+/// Saves the Python exception that is being raised and restores it later, so
+/// that other Python code can run meanwhile.
 class Raised {
 public:
   Raised() { take(); }

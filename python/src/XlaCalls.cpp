@@ -60,7 +60,7 @@ const char *nameOf(int32_t type) {
 }
 
 py::dtype dtypeOf(int32_t type) {
-  // Kept for the life of the process.
+  // The dtypes are kept for the life of the process.
   static PyObject *known[kF64 + 1] = {};
   if (!known[type])
     known[type] = py::dtype(nameOf(type)).release().ptr();
@@ -124,7 +124,8 @@ Error *fail(const CallFrame &frame, const std::string &message,
 Error *call(CallFrame *frame, bool isOnHost) {
   for (Extension *e = frame->extensions; e; e = e->next)
     if (e->type == kMetadataExtension) {
-      // XLA asks once, as the handler is registered.
+      // XLA asks for the metadata of a handler once, when the handler is
+      // registered.
       Metadata *metadata = reinterpret_cast<MetadataExtension *>(e)->metadata;
       metadata->version.major = 0;
       metadata->version.minor = 1;

@@ -76,7 +76,7 @@ static void passDelimited(std::FILE *input, std::FILE *output) {
   while (readLine(input, line)) {
     StringRef text = StringRef(line).ltrim();
     if (!text.starts_with("// -----")) {
-      // Skip lines of comments, which are not part of the message.
+      // Comment lines are skipped, because they are not part of the message.
       if (!text.starts_with("//"))
         message += line;
       continue;
@@ -126,7 +126,7 @@ void tai::filterStandardInput(bool isDelimited) {
       passDelimited(input, output);
     else
       passFramed(input, output);
-    // Close the pipe, since the server ends when its input ends.
+    // The pipe is closed, because the server ends when its input ends.
     std::fclose(output);
   }).detach();
 }

@@ -25,7 +25,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The ops of a function.
+/// The numbers of ops of a function by name, and a fingerprint of the function.
 struct Contents {
   std::map<std::string, int> counts;
   int total = 0;
@@ -81,7 +81,7 @@ public:
   }
 
 private:
-  /// Whether the pass only runs other passes.
+  /// True if the pass does nothing but run other passes.
   static bool isGroup(Pass *pass) { return pass->getArgument().empty(); }
 
   static void forEachFunction(

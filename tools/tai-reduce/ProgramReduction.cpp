@@ -33,7 +33,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Applies candidate number `number` to the module. False if there are fewer.
+/// The type of functions that apply candidate number `number` of an edit to the
+/// module. False if there are fewer candidates.
 using Edit = bool (*)(ModuleOp module, size_t number);
 
 /// Replaces the results of an op by zeroes and erases it. False if a result has
@@ -93,8 +94,8 @@ bool dropSymbol(ModuleOp module, size_t number) {
   return true;
 }
 
-/// The ops in the bodies of functions, last op first: users of an op come
-/// before the op.
+/// Lists the ops in the bodies of functions, the last op first: users of an op
+/// come before the op.
 SmallVector<Operation *> collectBodies(ModuleOp module) {
   SmallVector<Operation *> ops;
   module.walk([&](Operation *op) {
@@ -107,7 +108,8 @@ SmallVector<Operation *> collectBodies(ModuleOp module) {
   return ops;
 }
 
-/// Drops an op of a body, whole loops first.
+/// Drops an op from the body of a function; ops with regions have the first
+/// numbers.
 bool dropOp(ModuleOp module, size_t number) {
   SmallVector<Operation *> ops;
   SmallVector<Operation *> all = collectBodies(module);
@@ -170,7 +172,7 @@ bool inlineBody(ModuleOp module, size_t number) {
   return true;
 }
 
-/// Leaves one trip of a loop along one dimension.
+/// Reduces a loop to one trip along one dimension.
 bool cutTrips(ModuleOp module, size_t number) {
   SmallVector<OpOperand *> bounds;
   for (Operation *op : collectBodies(module)) {
@@ -285,7 +287,7 @@ bool shrinkLevel(ModuleOp module, size_t number) {
   return true;
 }
 
-/// The list without the element at `index`.
+/// Returns the list without the element at `index`.
 template <typename T> SmallVector<T> without(ArrayRef<T> list, size_t index) {
   SmallVector<T> rest(list);
   rest.erase(rest.begin() + index);
@@ -385,7 +387,7 @@ struct ProgramReduction
     llvm::raw_string_ostream os(text);
     getOperation().print(os);
     seen.insert(text);
-    // Edits that remove most come first.
+    // The edits of the reduction; those that remove most come first.
     constexpr Edit edits[] = {dropSymbol,   dropOp,       inlineBody,
                               cutTrips,     dropOp,       dropLevel,
                               makeDense,    dropChild,    shrinkLevel,
@@ -415,7 +417,7 @@ private:
     }
   }
 
-  /// Whether the program is new, verifies, and still fails the test.
+  /// True if the program is new, verifies, and still fails the test.
   bool isInteresting(ModuleOp copy, const Tester &tester) {
     ScopedDiagnosticHandler silence(&getContext(),
                                     [](Diagnostic &) { return success(); });

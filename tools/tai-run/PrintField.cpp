@@ -32,7 +32,7 @@ static std::string formatFloat(double value, const fltSemantics &semantics) {
 }
 
 namespace {
-/// Walks the components of a field in row-major order.
+/// Visits the components of a field in row-major order.
 class Printer {
 public:
   Printer(raw_ostream &stream, const runtime::Field &field)
@@ -49,7 +49,7 @@ public:
     for (int64_t i = 0; i < shape[depth]; ++i) {
       if (i > 0) {
         stream << ',';
-        // Start a new line for each innermost list.
+        // Each innermost list starts on a new line.
         if (depth + 1 < shape.size())
           stream << '\n' << std::string(depth + 1, ' ');
         else

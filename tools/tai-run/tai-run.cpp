@@ -158,7 +158,8 @@ static OwningOpRef<ModuleOp> parse(Session &session, const Options &given) {
                            "': " + file.getError().message());
     return {};
   }
-  // Bytecode without a checksum is read as by all tools, at one's own risk.
+  // Bytecode without a checksum is read as other tools read it, at the user's
+  // own risk.
   StringRef bytes = (*file)->getBuffer();
   ParserConfig config(session.getContext());
   OwningOpRef<ModuleOp> module;
@@ -189,7 +190,8 @@ static LogicalResult launchKernel(Session &session, const Program &program,
 static LogicalResult run(Session &session, const Options &given) {
   if (failed(setOptions(session, given)))
     return failure();
-  // Load each library once: it may have been named as a plugin of both kinds.
+  // Each library is loaded once, because it may have been named as a plugin of
+  // both kinds.
   llvm::SetVector<StringRef> plugins;
   for (const std::string &plugin : given.dialectPlugins)
     plugins.insert(plugin);
@@ -237,7 +239,7 @@ int main(int argc, char **argv) {
   llvm::InitLLVM initialize(argc, argv);
   cl::ResetCommandLineParser();
   Options options;
-  // Move options without a category into a new one: the help lists options by
+  // Options without a category get a new one: the help lists options by
   // category, and their default category was removed with LLVM's options.
   cl::OptionCategory category("Options of tai-run");
   for (auto &[name, option] : cl::getRegisteredOptions())

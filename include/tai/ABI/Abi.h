@@ -51,12 +51,12 @@ typedef struct TaiFrame {
   uint64_t tick;
 } TaiFrame;
 
-/// Types of a field and of the private buffers that are added to it: both f32,
-/// both f64, or f32 and f64.
+/// The float types of a field and of the private buffers that are added to it:
+/// both f32, both f64, or f32 for the field and f64 for the buffers.
 enum { kSumsF32 = 0, kSumsF64 = 1, kSumsWide = 2 };
 
-/// A compiled kernel. Returns 0, or non-zero if the launch failed (the runtime
-/// holds the message).
+/// The type of a compiled kernel. The function returns 0, or non-zero if the
+/// launch failed (the runtime holds the message).
 typedef int32_t (*TaiKernelFn)(TaiFrame *frame);
 
 /// The body of a parallel loop: runs the iterations [begin, end) of the
@@ -100,7 +100,8 @@ typedef struct TaiShadowSite {
   void *site;   // the log's entry for the site
 } TaiShadowSite;
 
-/// The counts of one TaiShadowSite in one run of a function.
+/// The counts of one observed operation (TaiShadowSite) in one run of a
+/// function.
 typedef struct TaiShadowCount {
   int64_t lost;
   int64_t cancellations;
@@ -115,7 +116,8 @@ typedef struct TaiShadowCounts {
   int64_t any; // not 0 if the run has reported a result
 } TaiShadowCounts;
 
-/// Atomic updates; see tai_rt_shadow_atomic.
+/// Kinds of atomic updates that shadow execution observes; see
+/// tai_rt_shadow_atomic.
 enum TaiShadowUpdate {
   TAI_SHADOW_ADD = 0,
   TAI_SHADOW_SUB = 1,

@@ -24,7 +24,8 @@
 extern "C" {
 #endif
 
-/// The position of the thread. Blocks and grids have one dimension.
+/// The position of the calling thread on the device. Blocks and grids have one
+/// dimension.
 int32_t tai_dev_thread_id(void);
 int32_t tai_dev_block_id(void);
 int32_t tai_dev_block_dim(void);
@@ -106,8 +107,8 @@ void tai_dev_fixed_scale_f32(uint32_t *scale, float value);
 void tai_dev_fixed_scale_f64(uint32_t *scale, double value);
 void tai_dev_fixed_add_f32(const uint32_t *scale, uint64_t *sum, float value);
 void tai_dev_fixed_add_f64(const uint32_t *scale, uint64_t *sum, double value);
-/// Adds the sum to the element. If several threads call it with one
-/// accumulator, only one of them adds the sum.
+/// Adds the sum of an accumulator to the element. If several threads make this
+/// call with one accumulator, only one of them adds the sum.
 void tai_dev_fixed_round_f32(uint32_t *scale, uint64_t *sum, float *element);
 void tai_dev_fixed_round_f64(uint32_t *scale, uint64_t *sum, double *element);
 /// Returns the sum of an accumulator for f32, for an element of another type.
@@ -122,7 +123,8 @@ double tai_dev_fixed_take_f32(uint32_t *scale, uint64_t *sum);
 
 void tai_dev_wide_add_f32(double *sum, double term);
 void tai_dev_wide_add_f64(double *sums, double term);
-/// Returns `element` plus the sum, rounded once, and sets the sum to zero.
+/// Returns `element` plus the sum in `sums`, rounded once, and sets the sum to
+/// zero.
 double tai_dev_wide_take_f64(double *sums, double element);
 
 //===----------------------------------------------------------------------===//
@@ -176,15 +178,15 @@ void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 /// the end of that kernel (programmatic dependent launch).
 #define TAI_SCOPE_LAUNCHES (-2)
 
-/// Parts that every program has. Parameters of a fill: address, pattern of
-/// eight bytes, its size, number of repetitions; of a copy: destination,
-/// source, bytes.
+/// The numbers of parts that every program has. Parameters of a fill: address,
+/// pattern of eight bytes, its size, number of repetitions; of a copy:
+/// destination, source, bytes.
 #define TAI_PART_FILL 0
 #define TAI_PART_COPY 1
-/// Fills, copies and swaps of rows: address of the first row, stride, bytes of
-/// a row, number of rows; then a pattern and its size, or address and stride of
-/// the rows of the other side; then the stride and the number of groups of rows
-/// (1 except for fills).
+/// Parts that fill, copy and swap rows of memory. Parameters: address of the
+/// first row, stride, bytes of a row, number of rows; then a pattern and its
+/// size, or address and stride of the rows of the other side; then the stride
+/// and the number of groups of rows (1 except for fills).
 #define TAI_PART_FILL_ROWS 2
 #define TAI_PART_COPY_ROWS 3
 #define TAI_PART_SWAP_ROWS 4
@@ -211,9 +213,9 @@ void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 #define TAI_PROGRAM_ARRIVALS 64
 #define TAI_PROGRAM_HEADER 256
 
-/// Run a table of steps. `header` starts with the state of
-/// tai_dev_grid_barrier; `first` is the number of the first of these steps in
-/// the program.
+/// Execute the steps of a table with the threads of a block, cluster or grid.
+/// `header` starts with the state of tai_dev_grid_barrier; `first` is the
+/// number of the first of these steps in the program.
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
                            uint64_t stride, uint32_t *header, uint64_t first);
 void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
@@ -234,8 +236,8 @@ void tai_dev_program_await(uint32_t *header, uint32_t before);
 /// Runs one of the built-in parts: fills, copies and swaps.
 void tai_dev_program_part(uint64_t part, const uint64_t *slots);
 
-/// If steps are time-stamped, the first thread stores its clock as the stamp
-/// after `steps` steps of the program.
+/// Stores a time stamp, if the steps of the program are time-stamped: the first
+/// thread stores its clock as the stamp after `steps` steps.
 void tai_dev_program_clock(const uint32_t *header, uint64_t steps);
 
 //===----------------------------------------------------------------------===//
@@ -263,7 +265,8 @@ void tai_emu_free(void *memory);
 /// A program on the emulated device runs as several threads, in an order that
 /// changes after each barrier. Returns the number of threads.
 int32_t tai_emu_begin_group(void);
-/// Switches to the next thread of the group.
+/// Switches the emulated device to the next thread of the group that runs a
+/// program.
 void tai_emu_next_in_group(void);
 void tai_emu_end_group(void);
 

@@ -55,8 +55,8 @@ struct DeviceAccess {
   /// holds as long as offset, terms and strides together stay far below 2^31
   /// times `unit` bytes.
   int64_t unit = 0;
-  /// For each dimension of the loop: the distance in bytes between the accesses
-  /// of consecutive iterations.
+  /// For each dimension of the loop: the distance in bytes between the memory
+  /// accesses of consecutive iterations.
   std::vector<int64_t> strides;
   std::vector<LaunchTerm> terms;
 
@@ -93,10 +93,11 @@ struct TileSite {
   /// The access. If `isRegular`, its offset and terms give the address of cell
   /// 0, and its strides are zero.
   DeviceAccess access;
-  /// Whether `digits` give the cell that an iteration touches; if false, only
-  /// `access` is known.
+  /// True if the index digits (parts of the index, one for each level of the
+  /// layout) in `digits` give the cell that an iteration touches; if false,
+  /// only the bytes in `access` are known.
   bool isRegular = false;
-  /// Whether every iteration executes this load or store exactly once.
+  /// True if every iteration executes this load or store exactly once.
   bool isCertain = false;
   std::vector<Digit> digits;
 
@@ -113,13 +114,13 @@ struct FunctionAccesses {
   /// i, counted over all dimensions with the last one fastest, is executed by
   /// thread i modulo the threads of the grid.
   bool isGridStride = false;
-  /// Number of iterations along each dimension of the loop; -1 if unknown.
+  /// The number of iterations along each dimension of the loop; -1 if unknown.
   std::vector<int64_t> extents;
   std::vector<DeviceAccess> accesses;
 
-  /// Lower bounds of the loop, and its loads and stores. Empty if the function
-  /// cannot run in tiles; otherwise there is a variant of the function that
-  /// runs one iteration, with an additional parameter for each dimension.
+  /// Lower bounds of the loop, and its loads and stores. Empty if the device
+  /// function cannot run in tiles; otherwise there is a variant of the function
+  /// that runs one iteration, with an additional parameter for each dimension.
   std::vector<int64_t> lower;
   std::vector<TileSite> sites;
 
@@ -138,7 +139,8 @@ struct FunctionAccesses {
     return words;
   }
 
-  /// Encodes the part that follows the word `sitesFollow`.
+  /// Encodes the loads and stores of the loop, the part of the list that
+  /// follows the word `sitesFollow`.
   std::vector<int64_t> encodeSites() const {
     std::vector<int64_t> words = lower;
     for (const TileSite &site : sites) {

@@ -51,7 +51,7 @@ typedef struct TaiDeviceActivity {
 /// Stands in memory in front of a list of active cells, which are given by
 /// ascending numbers.
 typedef struct TaiDeviceListHeader {
-  /// Non-zero while the list is being recomputed.
+  /// Non-zero while the list of active cells is being recomputed.
   uint64_t isOld;
   /// The TaiDeviceActivity::version from which the list was computed; 0 if it
   /// never was.
@@ -62,8 +62,8 @@ typedef struct TaiDeviceListHeader {
   int64_t count;
 } TaiDeviceListHeader;
 
-/// The location of a field's elements in the cells of the innermost sparse
-/// level above it.
+/// Describes where a field's elements lie in the cells of the innermost sparse
+/// level above the field.
 typedef struct TaiDeviceCellMove {
   int32_t node;
   int32_t scalarBytes;
@@ -84,7 +84,7 @@ typedef struct TaiDeviceCellMove {
 #define TAI_CELLS_FILL 3
 
 /// The number of words of activity (bits of cells, or lengths of lists) that a
-/// block processes at a time when it computes a list of active cells.
+/// thread block processes at a time when it computes a list of active cells.
 #define TAI_DEVICE_LIST_TILE 1024
 
 /// The bytes that active cells of a tree use, and their limit.
@@ -108,8 +108,8 @@ typedef struct TaiDeviceNode {
   int32_t isList;
   /// The number of the nearest sparse level above, or -1.
   int32_t parent;
-  /// The steps of the level in TaiDeviceTree::steps: the index of the first
-  /// step, and their number.
+  /// The address computation of the level: the index of the first of its steps
+  /// in TaiDeviceTree::steps, and the number of steps.
   int32_t firstStep, steps;
   int64_t cells;
   /// The number of cells of this level below one cell of the level `parent`.
@@ -140,7 +140,8 @@ typedef struct TaiDeviceNode {
 } TaiDeviceNode;
 
 typedef struct TaiDeviceTree {
-  /// Parents come before children.
+  /// The number of sparse levels of the tree, stored so that parents come
+  /// before children.
   int64_t numNodes;
   const TaiDeviceNode *nodes;
   const TaiDeviceStep *steps;

@@ -20,8 +20,8 @@
 #define TAI_DEVICE_STATE_MAGIC 0x74616964u
 #define TAI_DEVICE_STATE_VERSION 1u
 
-/// The maximum size of a record in bytes; a longer record is truncated, and
-/// says how much was cut off.
+/// The maximum size in bytes of a message of a kernel; a longer message is
+/// truncated, and says how much was cut off.
 #define TAI_DEVICE_RECORD_BYTES 2048u
 
 /// A further TaiValueKind, which only occurs in records of device code: a
@@ -37,7 +37,7 @@ extern "C" {
 /// and place end with a zero, which their lengths do not count. The size is a
 /// multiple of eight bytes.
 typedef struct TaiDeviceRecord {
-  /// Size of the record.
+  /// The size of the record in bytes.
   uint32_t bytes;
   /// The TaiFailure that the record reports; 0 if the record is a printed line.
   int32_t kind;
@@ -58,14 +58,14 @@ typedef struct TaiDeviceState {
   /// Non-zero once a thread has claimed the member `failure`, to write the
   /// first failure.
   uint32_t failed;
-  /// Lines dropped because the buffer was full.
+  /// The number of printed lines that were dropped because the buffer was full.
   uint32_t lostLines;
   uint64_t outputCapacity;
-  /// Bytes claimed so far; claims that did not fit count as well, so this may
-  /// exceed the capacity.
+  /// Bytes of the output buffer claimed so far; claims that did not fit count
+  /// as well, so this may exceed the capacity.
   uint64_t outputUsed;
-  /// If more bytes than the capacity were claimed: the end of the records that
-  /// fit.
+  /// The end of the printed records that fit into the buffer, if more bytes
+  /// than its capacity were claimed.
   uint64_t outputEnd;
   /// The maximum size in bytes of a stack (TaiStack).
   uint64_t stackLimit;

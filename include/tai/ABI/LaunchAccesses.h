@@ -49,7 +49,8 @@ struct FixedIndex {
   int64_t bits = 64;
 
   int64_t evaluate(const uint64_t *args) const {
-    // Compute in unsigned numbers, and wrap to `bits` bits as the program does.
+    // The sum is computed in unsigned numbers, and wraps to `bits` bits as it
+    // does in the program.
     uint64_t sum = static_cast<uint64_t>(constant);
     for (const LaunchTerm &term : terms)
       sum += static_cast<uint64_t>(term.getArgument(args)) *

@@ -28,9 +28,11 @@ struct Conventions {
   bool clampArcs = false;
   bool guards = true;
 
-  /// The conventions of the kernel or function that `op` is or is in.
+  /// The derivative conventions of the kernel or function that `op` is, or is
+  /// in.
   static Conventions of(Operation *op);
-  /// Emits an error and fails if the attribute does not have the form above.
+  /// Emits an error and fails if the attribute `tai.conventions` does not have
+  /// the form above.
   static LogicalResult verify(Operation *function);
 };
 

@@ -22,7 +22,9 @@
 
 namespace mlir::tai {
 
-/// Marks a kernel as having guards.
+/// Marks a kernel as guarded if it contains guards: selects that give zero
+/// where the incoming derivative is zero, even if the partial derivative is
+/// infinite or NaN.
 void noteGuards(FunctionOpInterface function);
 /// Reports an error if a kernel with guards has lost the marks on its guards: a
 /// guard that is differentiated as a branch gets a wrong zero derivative.
@@ -30,28 +32,30 @@ LogicalResult checkGuards(FunctionOpInterface function);
 
 class DerivativeBuilder : public ImplicitLocOpBuilder {
 public:
-  /// For derivatives of `function`, with its conventions. With
-  /// `usesConditions`, facts may use the conditions of enclosing branches.
+  /// Builds derivatives of `function` under its own conventions at kinks. With
+  /// `usesConditions`, facts about values may use the conditions of enclosing
+  /// branches.
   explicit DerivativeBuilder(FunctionOpInterface function,
                              bool usesConditions = false);
   virtual ~DerivativeBuilder();
 
-  /// The value of the built function that corresponds to a primal value.
+  /// The value, in the derivative function being built, of a primal value.
   virtual Value getPrimal(Value value) = 0;
-  /// Facts about primal values.
+  /// Facts about primal floats, such as their sign or that they are finite.
   FloatFacts &getFacts() { return facts; }
   /// The subgradients that the program chose at kinks.
   const Conventions &getConventions() const { return conventions; }
 
-  /// A float or splat constant of the given type.
+  /// Creates a float constant, or a splat for a vector type.
   Value createConstant(Type type, double value);
   Value createZero(Type type) { return createConstant(type, 0.0); }
-  /// A component (row-major) of a vector of any rank.
+  /// Extracts one component (row-major) of a vector of any rank.
   Value createExtract(Value vector, int64_t component);
-  /// A vector from components (row-major); null is zero.
+  /// Creates a vector from its components (row-major); null components are
+  /// zero.
   Value createVector(VectorType type, ArrayRef<Value> components);
-  /// The sum of all components of a vector. Emits no op of tai in a function of
-  /// another compiler.
+  /// Creates the sum of all components of a vector. In a function written by
+  /// another compiler, emits no op of the dialect tai.
   Value createSum(Value vector);
   /// select(condition, value, 0)
   Value createMask(Value condition, Value value);
@@ -59,7 +63,7 @@ public:
   /// zero, not NaN. The value itself, if the conventions turn guards off.
   Value createGuard(Value derivative, Value value);
 
-  /// False if the conventions turn guards off.
+  /// False if the conventions of the function turn guards off.
   bool wantsGuards() const { return conventions.guards; }
 
 private:

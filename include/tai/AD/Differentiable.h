@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The file has moved; this name stays for one release.
+// This header has moved; including it by this name works for one more release.
 //
 //===----------------------------------------------------------------------===//
 

@@ -24,7 +24,8 @@ inline Value getWidened(Value adjoint) {
   return narrowed ? narrowed.getIn() : adjoint;
 }
 
-/// An adjoint in another type, rounded at most once.
+/// Casts an adjoint to another float type, rounding at most once even if the
+/// adjoint was itself truncated from a wider value.
 inline Value createCastOfAdjoint(OpBuilder &builder, Location loc,
                                  Value adjoint, Type type) {
   if (adjoint.getType() == type)

@@ -29,13 +29,14 @@ struct AdjointSignature {
   SmallVector<unsigned> arguments;
   SmallVector<unsigned> results;
 
-  /// The signature that the attribute requests; without the attribute, all
-  /// arrays of floats if `arrays`. Emits an error at the function and fails if
-  /// a position is not the position of a float.
+  /// The signature that the attribute `gradients` of `function` requests;
+  /// without the attribute, all arrays of floats if `arrays`. Emits an error at
+  /// the function and fails if a position is not the position of a float.
   static FailureOr<AdjointSignature> get(FunctionOpInterface function,
                                          bool arrays);
 
-  /// The memrefs of the adjoints, arguments first.
+  /// The types of the memrefs that hold adjoints: of arguments first, then of
+  /// results.
   SmallVector<MemRefType> getShadowTypes(FunctionOpInterface function) const;
 };
 

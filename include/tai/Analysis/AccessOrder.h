@@ -45,8 +45,9 @@ private:
 };
 
 /// True if both accesses reach the same element, or one access reaches a
-/// component of the other's element: in the same iteration of the loops around
-/// both, and in corresponding iterations of two loops over the same range.
+/// component of the element that the other reaches: in the same iteration of
+/// the loops around both, and in corresponding iterations of two loops over the
+/// same range.
 bool reachSameElement(DifferentiableAccessInterface lhs,
                       DifferentiableAccessInterface rhs);
 

@@ -30,8 +30,9 @@ bool areProvablyEqual(ValueRange lhs, ValueRange rhs);
 /// the loops around them, certainly differ in at least one position.
 bool areProvablyDistinct(ValueRange lhs, ValueRange rhs);
 
-/// True if no two iterations of parallel loops reach the same element by any of
-/// `accesses`, all accesses to one storage in one outermost parallel loop.
+/// True if no two iterations of a parallel loop reach the same element by any
+/// of `accesses`, which are all accesses to one storage in one outermost
+/// parallel loop.
 bool isExclusive(ArrayRef<Operation *> accesses);
 
 /// The induction variables of an op that runs its body in parallel, or none.
@@ -46,9 +47,10 @@ SmallVector<Value> getEnclosingInductionVars(Operation *op);
 /// The op whose region has `iv` as an argument.
 Operation *getLoopOf(Value iv);
 
-/// The indices as a map from the induction variables of the loops around
-/// `access` (dimensions) and the integer arguments of the function (symbols),
-/// or null if an index is not affine in these variables and arguments.
+/// Returns the indices of an access as a map from the induction variables of
+/// the loops around `access` (dimensions) and the integer arguments of the
+/// function (symbols), or null if an index is not affine in these variables and
+/// arguments.
 AffineMap getAffineMap(Operation *access, ValueRange indices);
 
 /// A key for the storage that an access reaches; equal for all `tai.field` ops
@@ -58,7 +60,7 @@ const void *getFieldStorageKey(FieldOp field);
 
 /// Marks each `tai.atomic` add or sub as exclusive where no other iteration of
 /// the parallel loop around it can reach its element, and removes the mark
-/// where that does not hold.
+/// elsewhere.
 void markExclusiveAtomics(FunctionOpInterface function);
 
 } // namespace mlir::tai

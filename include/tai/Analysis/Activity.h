@@ -22,9 +22,9 @@
 
 namespace mlir::tai {
 
-/// Calls `pass` with the operands that a branch or loop forwards, and the
-/// values that they are forwarded to: on entry, and at the end of each of its
-/// blocks.
+/// For each branch or loop edge of `op`, calls `pass` with the forwarded
+/// operands and the values that receive them: on entry, and at the end of each
+/// of the op's blocks.
 void forEachForwarding(RegionBranchOpInterface op,
                        llvm::function_ref<void(OperandRange, ValueRange)> pass);
 
@@ -39,7 +39,8 @@ public:
            ArrayRef<Value> inputs = {}, ArrayRef<Value> outputs = {},
            bool assumeVaried = false);
 
-  /// True if the value is varied (or assumed to be) and useful.
+  /// True if a value is varied (or assumed to be) and useful, so that it needs
+  /// an adjoint.
   bool isActive(Value value) const {
     return (varied.contains(value) || assumed.contains(value)) &&
            useful.contains(value);

@@ -21,7 +21,8 @@
 
 namespace mlir::tai {
 
-/// How the value at the start of an iteration is recovered in reverse.
+/// The ways to recover the value that a loop carries at the start of an
+/// iteration, in reverse.
 enum class CarriedKind {
   /// The value at the start of an iteration is a closed formula of the
   /// iteration number.
@@ -79,9 +80,9 @@ private:
 
 llvm::StringRef stringifyCarriedKind(CarriedKind kind);
 
-/// Liveness of the values in a region: needed by effects or by terminators of
-/// the region's own blocks. Each result of a branch or loop has its own
-/// liveness.
+/// Liveness of the values in a region: a value is live if effects, or
+/// terminators of the region's own blocks, need it. Each result of a branch or
+/// loop has its own liveness.
 class LiveValues {
 public:
   explicit LiveValues(Region &region);

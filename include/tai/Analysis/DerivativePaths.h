@@ -31,8 +31,8 @@ bool carriesDerivative(OpOperand &operand);
 
 /// The ends of derivative paths: inputs and outputs of differentiation.
 struct DerivativeEnds {
-  /// Callback: whether a storage has an adjoint (reverse mode) or holds
-  /// tangents (forward mode).
+  /// A callback that tells whether a storage has an adjoint (reverse mode) or
+  /// holds tangents (forward mode).
   llvm::function_ref<bool(Storage)> hasDerivative;
   /// The function's arguments and results that have a derivative.
   ArrayRef<Value> inputs = {}, outputs = {};

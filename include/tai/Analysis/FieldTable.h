@@ -29,13 +29,14 @@ struct AliasScopes {
   ArrayAttr own, others, groups;
   /// Alignment of the address in bytes; 0 stands for the alignment of the type.
   unsigned alignment = 0;
-  /// The value of the access's attribute kDigitsAttrName, or null.
+  /// The value of the attribute kDigitsAttrName of an access, or null.
   DenseI64ArrayAttr digits = nullptr;
 };
 
-/// On a lowered access to a field: three numbers for each digit of its indices
-/// and its component: stride in bytes, extent, and the shift between the digit
-/// and the digit of the non-constant part of the address.
+/// The attribute that describes the address of a lowered field access: three
+/// numbers for each digit of its indices and its component, which are the
+/// stride in bytes, the extent, and the shift between this digit and the digit
+/// of the non-constant part of the address.
 constexpr llvm::StringLiteral kDigitsAttrName = "tai.digits";
 
 /// A sparse level on the path to a field.
@@ -46,7 +47,7 @@ struct SparseInfo {
   uint64_t activityOffset;
   int64_t capacity; // of a list
 
-  /// Bundles one cell of this sparse level as a CellRef.
+  /// Refers to cell number `cell` of this sparse level as a CellRef.
   CellRef at(Value tree, Value cell) const {
     return {tree, node, activityOffset, capacity, cell};
   }
@@ -82,13 +83,14 @@ struct FieldInfo {
 /// uniform stride: element `e` (in storage order) of the remaining digits is at
 /// base + e * cellStride.
 struct FieldSlice {
-  /// For each dimension of the field: whether the slice fixes its index.
+  /// For each dimension of the field, true if the slice fixes the index along
+  /// it.
   SmallVector<bool> fixed;
   int64_t cellStride; // bytes
   int64_t numCells;
   /// For each digit of the field's indices, in the order of
-  /// FieldInfo::storage.digits: its stride in the slice, in cells. 0 for digits
-  /// of fixed dimensions.
+  /// FieldInfo::storage.digits: the stride of the digit in the slice, in cells.
+  /// 0 for digits of fixed dimensions.
   SmallVector<int64_t> digitCells;
 };
 
@@ -98,7 +100,7 @@ class FieldTable {
 public:
   explicit FieldTable(Operation *root);
 
-  /// The field of this name, visible from `user`.
+  /// Looks up the field called `name` that is visible from the op `user`.
   FailureOr<const FieldInfo *> lookup(Operation *user, FlatSymbolRefAttr name);
 
   /// The slice of `field` with the given dimensions fixed, if its stride is

@@ -32,17 +32,18 @@ public:
     double low, high;
   };
 
-  /// With `usesConditions`, the conditions of the branches around a place are
-  /// used; wrong for a client that may remove the branch.
+  /// With `usesConditions`, facts may follow from the conditions of branches
+  /// around a place, which is wrong for a client that may remove the branch.
   explicit FloatFacts(bool usesConditions = false)
       : usesConditions(usesConditions) {}
 
   /// False if `value` is proven to be finite for all finite inputs.
   bool mayBeNonFinite(Value value);
 
-  // The queries below are about each component of `value` at the op `at`; the
-  // conditions around `at` may be used. Positive and non-zero values other than
-  // constants are far enough from zero that their inverse does not overflow.
+  // This query and the following ones are about each component of `value` at
+  // the op `at`; conditions around `at` may be used. Positive and non-zero
+  // values other than constants are far enough from zero that their inverse
+  // does not overflow.
   bool isPositive(Value value, Operation *at = nullptr);
   bool isNonNegative(Value value, Operation *at = nullptr);
   bool isNonZero(Value value, Operation *at = nullptr);

@@ -25,7 +25,7 @@
 
 namespace mlir::tai {
 
-/// One way in which an access goes out of range.
+/// A condition under which an access is out of range.
 struct Violation {
   /// The access goes out of range if this system over launch values holds.
   LinearSystem launch;
@@ -45,8 +45,8 @@ struct BoundsAnswer {
   /// True if `violations` is complete: in a launch for which no violation
   /// holds, the index is in range.
   bool isDecided = false;
-  /// The ways in which the index can be out of range. Each is exact: a launch
-  /// for which a violation holds has an out-of-range access.
+  /// The conditions under which the index is out of range. Each is exact: a
+  /// launch for which a condition holds has an out-of-range access.
   SmallVector<Violation, 1> violations;
 };
 

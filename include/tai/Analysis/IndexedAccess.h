@@ -14,15 +14,15 @@
 
 namespace mlir::tai {
 
-/// An extent; the extents of an array are possibly unknown until launch time.
+/// An extent of a dimension. The extents of an array are possibly unknown until
+/// launch time.
 struct Extent {
   int64_t number = 0;
-  /// If not null, an array argument: the extent is that of its dimension
-  /// `number`.
+  /// If not null, an array argument whose dimension `number` has this extent.
   Value array = {};
 };
 
-/// An access with its indices, their first values and extents.
+/// A memory access with its indices, their first values and extents.
 struct IndexedAccess {
   Operation *op;
   /// Name of the accessed memory for messages, such as "field '@x' of shape [4,

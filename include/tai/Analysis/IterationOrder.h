@@ -27,7 +27,8 @@ struct ElementPlace {
 
 /// False if accesses at the two places reach different elements in any two
 /// different iterations of `loop`. Conservative: true unless proven otherwise.
-/// Indices are assumed to be in range: one that wraps around is not considered.
+/// Indices are assumed to be in range; an index that wraps around is not
+/// considered.
 bool mayMeet(ParallelForOp loop, ElementPlace first, ElementPlace second);
 
 /// True unless it is proven that the order of the iterations changes neither

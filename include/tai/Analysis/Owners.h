@@ -25,8 +25,8 @@ bool holdsOwners(Value memory);
 /// The ops after the allocation that set the owners, in program order.
 SmallVector<Operation *> findOwnerSetters(Operation *alloc);
 
-/// The branch around `op`, below `scope`, that only the owner of an element
-/// takes; or null.
+/// The branch around `op`, below `scope`, that only the iteration which owns an
+/// element takes; or null.
 scf::IfOp getOwnersBranch(Operation *op, Operation *scope);
 
 } // namespace mlir::tai

@@ -13,10 +13,11 @@
 
 namespace mlir::tai {
 
-/// Returns the parallel loop around both accesses if two different iterations
-/// of it certainly reach the same element, one by each access; else null. `lhs`
-/// and `rhs` can be the same access. With `ofLongLoops`, a loop with unknown
-/// bounds is assumed to have many iterations.
+/// Finds a race of two accesses: returns the parallel loop around both if two
+/// different iterations of it certainly reach the same element, one by each
+/// access; else null. `lhs` and `rhs` can be the same access. With
+/// `ofLongLoops`, a loop with unknown bounds is assumed to have many
+/// iterations.
 Operation *findRace(DifferentiableAccessInterface lhs,
                     DifferentiableAccessInterface rhs,
                     bool ofLongLoops = false);

@@ -22,7 +22,7 @@ class ParallelForOp;
 struct LoopBox;
 
 enum class Sharing {
-  /// No other iteration of the loop reaches the element by this access.
+  /// No other iteration of the loop reaches the element by the access.
   Own,
   /// Unknown: the indices depend on data, or the access is under a condition
   /// that possibly holds for one iteration only.

@@ -24,20 +24,21 @@ namespace mlir::tai {
 struct ToBeRecorded {
   /// The fields that the adjoint of the kernel reads, adjoint fields included.
   std::vector<NamedAccess> reads;
-  /// Whether there is a variant of the adjoint that loads outputs stored by the
+  /// True if there is a variant of the adjoint that loads outputs stored by the
   /// kernel, and the reads that this variant makes in addition to `reads`.
   bool loadsStored = false;
   std::vector<NamedAccess> stored;
   /// Fields whose contents before the launch of the kernel the adjoint reads.
   std::vector<std::string> before;
-  /// Fields of whose levels the adjoint reads the activity.
+  /// Fields for which the adjoint reads which cells of the levels above them
+  /// are active.
   std::vector<std::string> activity;
   std::vector<LoopFlags> flags;
-  /// Array arguments whose elements the adjoint reads, by the slots of their
-  /// pointers.
+  /// Array arguments whose elements the adjoint reads, by the numbers of the
+  /// argument slots that hold their pointers.
   std::vector<int64_t> arrays;
-  /// The adjoint executes stores of the kernel again, which changes fields that
-  /// the adjoint reads.
+  /// True if the adjoint executes stores of the kernel again, which changes
+  /// fields that the adjoint reads.
   bool reexecutes = false;
   /// If not empty, the text of the module with the parts that the kernel was
   /// split into.

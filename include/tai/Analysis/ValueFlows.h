@@ -22,13 +22,14 @@ namespace mlir::tai {
 
 class ValueFlows {
 public:
-  /// Analyses `function`. `arguments`: its float arguments that count as
-  /// sources of data flow, in addition to the storages that it reads.
+  /// Analyses the data flow in `function`. `arguments`: its float arguments
+  /// that count as sources of data flow, in addition to the storages that it
+  /// reads.
   ValueFlows(FunctionOpInterface function, ArrayRef<Value> arguments);
 
-  /// The sources, by number.
+  /// The sources of data flow by number: storages that the function reads.
   SmallVector<Storage> storages;
-  /// The accesses to floats.
+  /// The accesses of the function to floats.
   SmallVector<DifferentiableAccessInterface> reads, writes;
 
   /// The numbers of the sources (read storages and arguments) that `value`

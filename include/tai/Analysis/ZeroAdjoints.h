@@ -12,8 +12,9 @@
 
 namespace mlir::tai {
 
-/// A loop of an adjoint over a sparse field: it can be skipped in a cell in
-/// which all of `sources` are zero. With no sources, it cannot be skipped.
+/// Tells when a loop of an adjoint over a sparse field can be skipped: in a
+/// cell in which all of `sources` are zero. With no sources, it cannot be
+/// skipped.
 struct LoopFlags {
   std::string field;
   std::vector<std::string> sources;
@@ -21,13 +22,13 @@ struct LoopFlags {
   bool sumsUp = false;
 };
 
-/// Whether a result of an op without regions is zero where the operands with
-/// `isZero` are. In a product, one zero factor is enough: guards make a zero
-/// adjoint contribute zero, whatever the partial derivative is.
+/// True if a result of an op without regions is zero where the operands with
+/// `isZero` are zero. In a product, one zero factor is enough: guards make a
+/// zero adjoint contribute zero, whatever the partial derivative is.
 bool isZeroOfZeros(OpResult result, llvm::function_ref<bool(Value)> isZero);
 
-/// The loops of an adjoint over sparse fields; see
-/// docs/decisions/0007-adjoint-flags.md.
+/// Finds the loops of an adjoint over sparse fields that can be skipped in
+/// cells; see docs/decisions/0007-adjoint-flags.md.
 std::vector<LoopFlags> findLoopFlags(KernelOp primal, KernelOp adjoint);
 
 } // namespace mlir::tai

@@ -25,17 +25,21 @@
 namespace mlir::tai {
 
 struct CompiledObject {
-  /// The function to call. Empty for an adjoint without effects.
+  /// The symbol of the function to call. Empty for an adjoint without effects,
+  /// which needs no code.
   std::string symbol;
-  /// The trees whose base addresses the function needs, in order.
+  /// The names of the trees of fields whose base addresses the function takes,
+  /// in the order of its arguments.
   std::vector<std::string> trees;
-  /// For adjoints, the values that must be recorded: a serialized ToBeRecorded.
+  /// For adjoint kernels, the values that the primal must record: a serialized
+  /// ToBeRecorded.
   std::string toBeRecorded;
-  /// A digest of the source locations, if they are part of the code.
+  /// A digest of the source locations, if the object code contains them;
+  /// otherwise empty.
   std::string places;
-  /// Warnings of the compiler; if there are any, `places` is set.
+  /// Warnings of the compiler. Their presence implies that `places` is set.
   std::vector<Warning> warnings;
-  /// The skip counters of the passes.
+  /// Amounts of work that the passes found unnecessary, by kind of skip.
   SkipAmounts skipped{};
   /// For a kernel that only loops over active cells: pairs of a tree, by its
   /// position in `trees`, and the number of a level in it.
@@ -45,7 +49,7 @@ struct CompiledObject {
   llvm::SmallVector<char, 0> code;
 
   std::string serialize() const;
-  /// Returns no value if the bytes are not a serialized object.
+  /// Reads a serialized object. Returns no value if the bytes are not one.
   static std::optional<CompiledObject> deserialize(llvm::StringRef bytes);
 };
 

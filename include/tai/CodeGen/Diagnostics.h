@@ -33,9 +33,9 @@ enum class FailureKind {
 
 struct Failure {
   FailureKind kind = FailureKind::None;
-  /// The first error, without its location.
+  /// The text of the first error, without its location.
   std::string message;
-  /// The location of the error, 1-based; empty and 0 where unknown.
+  /// The location of the first error, 1-based; empty and 0 where unknown.
   std::string file;
   int line = 0, column = 0;
   /// All diagnostics, each as "file:line:col: error: …", followed by the line
@@ -47,7 +47,7 @@ struct Failure {
 
 /// A warning of the compiler.
 struct Warning {
-  /// The text of the warning without location and notes.
+  /// The text of the warning, without its location and notes.
   std::string message;
   /// The location of the warning, 1-based; empty and 0 where unknown.
   std::string file;
@@ -56,8 +56,8 @@ struct Warning {
   std::string text;
 };
 
-/// Keeps the warnings that collectors of its thread receive during its
-/// lifetime. Without a scope, warnings are printed.
+/// Keeps the warnings that diagnostic collectors of the same thread receive
+/// during the lifetime of the scope. Without a scope, warnings are printed.
 class WarningScope {
 public:
   WarningScope();
@@ -73,17 +73,17 @@ private:
   std::vector<Warning> warnings;
 };
 
-/// Prints a warning, at most once in a process.
+/// Prints a compiler warning to stderr, the same one at most once in a process.
 void printWarning(const Warning &warning);
 
-/// "file:line:col: kind: message", and the line of the source with a caret
-/// where the file can be read.
+/// Formats a diagnostic as "file:line:col: kind: message", followed by the line
+/// of the source with a caret where the file can be read.
 std::string formatDiagnostic(StringRef file, unsigned line, unsigned column,
                              StringRef kind, StringRef message);
 
-/// Collects, during its lifetime, the errors and notes that its own thread
-/// emits in the context. Warnings go to the WarningScope of the thread, or are
-/// printed; remarks go to the next handler.
+/// Collects the errors and notes that its own thread emits in the MLIR context
+/// during the collector's lifetime. Warnings go to the WarningScope of the
+/// thread, or are printed; remarks go to the next handler.
 class DiagnosticCollector {
 public:
   explicit DiagnosticCollector(MLIRContext *context);
@@ -91,8 +91,8 @@ public:
 
   bool hasErrors() const { return !collected.message.empty(); }
 
-  /// The collected diagnostics as a failure of the given kind. If no error was
-  /// emitted the message is `otherwise`.
+  /// Takes the collected diagnostics as a failure of the given kind. The
+  /// message is `otherwise` if no error was emitted.
   Failure take(FailureKind kind, const llvm::Twine &otherwise = "");
 
 private:

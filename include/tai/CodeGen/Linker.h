@@ -32,7 +32,8 @@ class ObjectLinkingLayer;
 
 namespace mlir::tai {
 
-/// Thread-safe. Linked code lives until it is unloaded or the linker ends.
+/// Links compiled objects into the process; thread-safe. Linked code lives
+/// until it is unloaded or the linker is destroyed.
 class Linker {
 public:
   using Library = llvm::orc::JITDylib;
@@ -43,11 +44,13 @@ public:
 
   struct Linked {
     Library *library = nullptr;
-    /// The address of each function asked for, in order.
+    /// The addresses of the linked functions, in the order in which they were
+    /// asked for.
     std::vector<void *> addresses;
   };
 
-  /// Links object code and resolves `names` in it.
+  /// Links object code into the process and looks up the functions called
+  /// `names` in it.
   llvm::Expected<Linked> link(llvm::ArrayRef<char> object,
                               llvm::ArrayRef<std::string> names);
 
@@ -63,7 +66,7 @@ private:
   std::unique_ptr<llvm::orc::ObjectLinkingLayer> layer;
   Library *runtimeLibrary = nullptr;
   std::mutex mutex;
-  /// Errors reported by the session since the last failure.
+  /// Errors reported by the ORC session since the last failure.
   std::string reasons;
   uint64_t counter = 0;
   std::atomic<int64_t> linked{0};

@@ -46,7 +46,7 @@ struct CodegenOptions {
   }
 };
 
-/// Sets the fast-math flags of all operations of the module.
+/// Sets the fast-math flags on all float operations of an LLVM module.
 void allowFastMath(llvm::Module &module);
 
 /// The libraries of vector functions that this process can load, by the names
@@ -76,20 +76,22 @@ public:
 
   const CodegenOptions &getOptions() const { return options; }
 
-  /// Sets the target of the module, for steps before optimize().
+  /// Sets the target triple and data layout of an LLVM module, for steps before
+  /// optimize().
   void setTarget(llvm::Module &module);
 
-  /// Sets the target of the module and runs the optimisation pipeline on it.
+  /// Sets the target of an LLVM module and runs the optimisation pipeline on
+  /// it.
   llvm::Error optimize(llvm::Module &module);
 
-  /// The object code of an optimised module.
+  /// Emits the object code of an optimised LLVM module.
   llvm::Expected<llvm::SmallVector<char, 0>> emitObject(llvm::Module &module);
 
-  /// The assembly text of an optimised module.
+  /// Emits the assembly text of an optimised LLVM module.
   llvm::Expected<std::string> emitAssembly(llvm::Module &module);
 
-  /// True after a fatal error in LLVM. The compiler and the module must then be
-  /// neither used nor destroyed: leak them.
+  /// True after a fatal error in LLVM. The compiler and the LLVM module must
+  /// then be neither used nor destroyed, but leaked.
   bool isBroken() const { return broken; }
 
 private:
@@ -100,7 +102,8 @@ private:
 
   CodegenOptions options;
   std::unique_ptr<llvm::TargetMachine> machine;
-  /// The functions that loops may call in a form for vectors.
+  /// The functions, such as sine, that vectorized loops may call in a form for
+  /// vectors.
   std::unique_ptr<VectorMath> vectorMath;
   bool broken = false;
 };

@@ -28,11 +28,11 @@ namespace mlir::tai {
 class AdjointBuilder;
 class TangentBuilder;
 
-/// The kind of an access to an element. `Update` is any combination with the
-/// old value that is not a sum.
+/// The kind of an access to an element of memory. `Update` is any combination
+/// with the old value that is not a sum.
 enum class AccessKind { Read, Write, Accumulate, Update };
 
-/// The target of an access: a field, by symbol, or a memref, by value.
+/// The target of a memory access: a field, by symbol, or a memref, by value.
 struct Storage {
   FlatSymbolRefAttr field;
   Value memref;
@@ -64,12 +64,12 @@ inline bool isScalableVector(Type type) {
   return vector && vector.isScalable();
 }
 
-/// The default limit of the history that a loop records at once, in bytes for
-/// each thread: part of a core's L2 cache.
+/// The default limit of the values that the reverse of a serial loop records at
+/// once, in bytes for each thread: part of a core's L2 cache.
 constexpr int64_t kDefaultHistoryBytes = 256 * 1024;
 
-/// Reports that `op` has no tangent rule; for default implementations of the
-/// interfaces.
+/// Reports that `op` has no rule for tangents; for default implementations of
+/// the interfaces.
 LogicalResult refuseTangent(Operation *op, TangentBuilder &builder);
 /// Extends the regions of an op whose results have no tangents; reports an
 /// error if a result would need a tangent.

@@ -26,7 +26,7 @@
 namespace mlir::tai {
 
 struct InterpreterOptions {
-  /// Assertions are checked, and divisions by zero reported.
+  /// True if assertions are checked and divisions by zero reported.
   bool debug = false;
   /// If non-zero, the seed of a random order of iterations of parallel loops;
   /// otherwise they run in ascending order.
@@ -37,18 +37,21 @@ namespace interpreter {
 class Program;
 } // namespace interpreter
 
-/// A kernel or a host function (`func.func`) with all functions that it calls.
+/// Interprets a kernel or a host function (`func.func`) with all functions that
+/// it calls.
 class Interpreter {
 public:
   ~Interpreter();
 
-  /// `module` is the same module as the compiler gets. Emits an error and
-  /// returns null at an op that the interpreter does not support.
+  /// Creates an interpreter of `function` in `module`, the same module as the
+  /// compiler gets. Emits an error and returns null at an op that the
+  /// interpreter does not support.
   static std::shared_ptr<const Interpreter>
   create(OwningOpRef<ModuleOp> module, StringRef function,
          const InterpreterOptions &options);
 
-  /// Runs the function like a TaiKernelFn. Thread-safe.
+  /// Runs the function on the arguments in `frame`, like a compiled
+  /// TaiKernelFn. Thread-safe.
   int32_t run(TaiFrame *frame) const;
 
 private:

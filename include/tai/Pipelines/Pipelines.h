@@ -22,11 +22,12 @@
 
 namespace mlir::tai {
 
-/// The kernels that get an adjoint, and the form of adjoints. Options of a
-/// context come from Options.def.
+/// Options of differentiation: the kernels that get an adjoint, and the form of
+/// the adjoints. (Options of a context are in Options.def.)
 struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
   AutodiffOptions() = default;
-  // Options are bound to their parser and cannot be moved: copy the values.
+  // Copies the values of the options only, because options are bound to their
+  // parser and cannot be moved.
   AutodiffOptions(const AutodiffOptions &other) : PassPipelineOptions() {
     kernels = other.kernels;
     flatten = other.flatten.getValue();
@@ -68,11 +69,14 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
       llvm::cl::init(false)};
 };
 
-/// The effect of isolated passes on the functions on which they run.
+/// How passes that are restricted to some functions of a module treat the
+/// callers of these functions.
 enum class IsolateMode {
-  /// Functions that only the runtime can call: their callers are lowered too.
+  /// The functions become functions that only the runtime can call, so their
+  /// callers are lowered too.
   Lower,
-  /// The functions stay, and new functions are added: callers stay as they are.
+  /// The given functions are kept, and derivatives are added as new functions,
+  /// so callers of the given functions need no change.
   Keep,
 };
 
@@ -92,20 +96,21 @@ void registerIsolate();
 /// are.
 void buildAutodiffPipeline(OpPassManager &pm, const AutodiffOptions &options);
 
-/// The passes of buildAutodiffPipeline, for a module with code of tai only.
+/// Adds the passes of buildAutodiffPipeline for a module that holds code of tai
+/// only.
 void buildAutodiffPasses(OpPassManager &pm, const AutodiffOptions &options);
 
-/// Replaces all kernels by their forward-mode variants.
+/// Adds passes that replace all kernels by their forward-mode variants.
 void buildForwardPipeline(OpPassManager &pm, bool arrayTangents);
 
-/// As buildForwardPipeline, for a module that also holds functions which do not
-/// belong to tai.
+/// Adds the passes of buildForwardPipeline for a module that also holds
+/// functions which do not belong to tai.
 void buildForwardFunctionsPipeline(OpPassManager &pm);
 
 /// Registers `tai-autodiff` and `tai-autodiff-forward` by name.
 void registerAutodiffPipeline();
 
-/// The values of an option of an enumeration type.
+/// The words that an option of an enumeration type accepts, with their values.
 template <typename T> struct OptionWords {
   template <typename Opt> void apply(Opt &) const {}
 };
@@ -119,10 +124,11 @@ template <> struct OptionWords<BoundsMode> {
   }
 };
 
-/// How kernels are lowered, wherever they run. Options of a context come from
-/// Options.def.
+/// Options of the lowering of kernels, for all targets. (Options of a context
+/// are in Options.def.)
 struct LoweringOptions : virtual ::mlir::detail::PassOptions {
-  /// Options are bound to their parser and cannot be moved: copies the values.
+  /// Copies the values of the options, because options are bound to their
+  /// parser and cannot be moved.
   void copyFrom(const LoweringOptions &other) {
 #define TAI_LOWERING_OPTION(type, member, from, argument, initial, about)      \
   member = other.member.getValue();
@@ -144,13 +150,13 @@ struct LoweringOptions : virtual ::mlir::detail::PassOptions {
                      "one after another, where iterations allow"),
       llvm::cl::init(true)};
 
-  /// Whether indices are checked at run time.
+  /// True if indices of accesses are checked at run time.
   bool checksIndices() const {
     return boundsCheck || debug || bounds == BoundsMode::Check;
   }
 };
 
-/// How kernels are lowered for the CPU.
+/// Options of the lowering of kernels for the CPU.
 struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions>, LoweringOptions {
   ToLLVMOptions() = default;
   ToLLVMOptions(const ToLLVMOptions &other) { *this = other; }
@@ -171,13 +177,14 @@ struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions>, LoweringOptions {
 /// see tai/ABI/Abi.h. Anchored on the module. Functions that have nothing to do
 /// with tai stay as they are.
 void buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options);
-/// As buildToLLVMPipeline, for a module with code of tai only.
+/// Adds the passes of buildToLLVMPipeline for a module that holds code of tai
+/// only.
 void buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options);
 
 /// Registers `tai-to-llvm` by name.
 void registerToLLVMPipeline();
 
-/// How kernels are lowered for a GPU.
+/// Options of the lowering of kernels for a GPU.
 struct ToNVVMOptions : PassPipelineOptions<ToNVVMOptions>, LoweringOptions {
   ToNVVMOptions() = default;
   ToNVVMOptions(const ToNVVMOptions &other) {
@@ -198,7 +205,8 @@ struct ToNVVMOptions : PassPipelineOptions<ToNVVMOptions>, LoweringOptions {
 /// runtime. Anchored on the module. Functions that have nothing to do with tai
 /// stay as they are.
 void buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options);
-/// As buildToNVVMPipeline, for a module with code of tai only.
+/// Adds the passes of buildToNVVMPipeline for a module that holds code of tai
+/// only.
 void buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options);
 
 /// Registers `tai-to-nvvm` by name.

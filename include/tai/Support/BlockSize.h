@@ -36,7 +36,8 @@ inline void setBlockSize(LLVM::LLVMFuncOp function, int64_t threads) {
                                                  std::to_string(threads)}));
 }
 
-/// The block size, from 1 to 1024; none if the function specifies none.
+/// The block size of a device function, from 1 to 1024; none if the function
+/// specifies none.
 inline std::optional<int64_t> getBlockSize(LLVM::LLVMFuncOp function) {
   ArrayAttr attributes = function.getPassthroughAttr();
   if (!attributes)

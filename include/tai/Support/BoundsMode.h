@@ -34,8 +34,8 @@ inline llvm::StringRef stringifyBoundsMode(BoundsMode mode) {
   llvm_unreachable("all modes are handled");
 }
 
-/// On an access: all its indices are in range, so that it needs no check. A
-/// dropped attribute costs time only.
+/// The attribute of an access whose indices are all in range, so that it needs
+/// no check. If a pass drops the attribute, only time is lost.
 constexpr llvm::StringLiteral kInRangeAttrName = "tai.in_range";
 
 } // namespace mlir::tai

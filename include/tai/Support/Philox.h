@@ -16,14 +16,14 @@
 #define TAI_SUPPORT_PHILOX_H
 
 #include <stdint.h>
-// Device code has no C++ library.
+// Device code includes this header too, and has no C++ library.
 #if __STDC_HOSTED__
 #include <array>
 #endif
 
 namespace mlir::tai::runtime {
 
-/// Replaces the counter by its random bits.
+/// Replaces the counter by the random bits that belong to it.
 inline void philox4x32InPlace(uint32_t (&counter)[4], uint32_t key0,
                               uint32_t key1, int rounds = 10) {
   constexpr uint32_t multiplier0 = 0xD2511F53, multiplier1 = 0xCD9E8D57;
@@ -52,12 +52,13 @@ inline std::array<uint32_t, 4> philox4x32(std::array<uint32_t, 4> counter,
 }
 #endif
 
-/// The result of tai_rt_random_u32.
+/// The random bits that tai_rt_random_u32 returns for a draw of a kernel.
 inline uint32_t randomBits(uint64_t seed, uint64_t launch, uint64_t iteration,
                            uint32_t stream, uint32_t sequence) {
-  // The position has 192 bits, the counter 128: the launch goes into the key,
-  // combined with a bijection of the seed, so that launches of one context
-  // never share a key. Four consecutive numbers of a sequence are one block.
+  // The position of a draw (launch, iteration, stream, sequence) has 192 bits,
+  // the counter 128. So the launch goes into the key, combined with a bijection
+  // of the seed, so that launches of one context never share a key. Four
+  // consecutive numbers of a sequence are one block of Philox.
   uint64_t key = seed + 0x9E3779B97F4A7C15u;
   key = (key ^ (key >> 30)) * 0xBF58476D1CE4E5B9u;
   key = (key ^ (key >> 27)) * 0x94D049BB133111EBu;
@@ -66,7 +67,8 @@ inline uint32_t randomBits(uint64_t seed, uint64_t launch, uint64_t iteration,
                       sequence >> 2};
   philox4x32InPlace(bits, uint32_t(key), uint32_t(key >> 32));
   uint32_t which = sequence & 3;
-  // Selects without an index into memory, for which a GPU would need the stack.
+  // Selects one of four words without an index into memory, for which a GPU
+  // would need the stack.
   return which < 2 ? (which == 0 ? bits[0] : bits[1])
                    : (which == 2 ? bits[2] : bits[3]);
 }

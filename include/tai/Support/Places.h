@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Used both by diagnostics and by messages of compiled code.
+// Source locations as text, for diagnostics and for messages of compiled code.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,10 +18,10 @@
 
 namespace mlir::tai {
 
-/// The file location of `location`, or null; for inlined code, the location in
-/// the callee.
+/// The file location contained in `location`, or null; for inlined code, the
+/// location in the callee.
 inline FileLineColLoc findFileLocation(Location location) {
-  // For a call site, use the location in the callee.
+  // For inlined code, the location in the callee is used.
   if (auto call = dyn_cast<CallSiteLoc>(location))
     return findFileLocation(call.getCallee());
   FileLineColLoc found;
@@ -40,7 +40,7 @@ inline FileLineColLoc findFileLocation(Location location) {
   return found;
 }
 
-/// The file location of `location` as "file:line:column", or empty.
+/// The file location contained in `location` as "file:line:column", or empty.
 inline std::string describePlace(Location location) {
   FileLineColLoc place = findFileLocation(location);
   return place ? (place.getFilename().getValue() + ":" +

@@ -59,12 +59,12 @@ inline constexpr const char *getSkipName(Skip skip) {
   return kSkips[static_cast<unsigned>(skip)].name;
 }
 
-/// The skips that are on.
+/// The set of skips (optimisations that leave out unneeded work) that are on.
 class SkipSet {
 public:
   static constexpr SkipSet all() { return SkipSet((1u << kNumSkips) - 1); }
   static constexpr SkipSet none() { return SkipSet(0); }
-  /// The skips that affect generated code: passes query them.
+  /// The skips that affect generated code, which passes query.
   static constexpr SkipSet ofCompiler() {
     return SkipSet(bit(Skip::ActivityTests) | bit(Skip::RepeatedLookups) |
                    bit(Skip::InactiveValues) | bit(Skip::UnneededRecords) |
@@ -125,7 +125,7 @@ public:
     return true;
   }
 
-  /// "all", "none", or the names.
+  /// The set as text: "all", "none", or the names of the skips.
   std::string str() const {
     if (bits == all().bits)
       return "all";
@@ -153,13 +153,14 @@ static_assert(kNumSkips < 32);
 /// Amounts, by counter.
 using SkipAmounts = std::array<int64_t, kNumSkipCounts>;
 
-/// Counters that any thread may advance.
+/// The counters of skipped work, which any thread may advance.
 class SkipCounters {
 public:
   void add(SkipCount counter, int64_t amount = 1) {
     slot(counter).fetch_add(amount, std::memory_order_relaxed);
   }
-  /// Not atomic: for counters that only one thread at a time updates.
+  /// Advances a counter that only one thread at a time updates, by a load and a
+  /// store that are not atomic together.
   void bump(SkipCount counter, int64_t amount = 1) {
     std::atomic<int64_t> &value = slot(counter);
     value.store(value.load(std::memory_order_relaxed) + amount,

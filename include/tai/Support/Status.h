@@ -20,7 +20,8 @@
 
 namespace mlir::tai::runtime {
 
-/// The kind of a failure. 1 to 4 are the numbers of TaiFailure in Abi.h.
+/// The kind of a failure of the runtime. 1 to 4 are the numbers of TaiFailure
+/// in Abi.h.
 enum class StatusCode {
   Ok = 0,
   Assert = 1,
@@ -29,7 +30,8 @@ enum class StatusCode {
   Check = 4,
   /// A launch was stopped by Runtime::interrupt().
   Interrupted = 5,
-  /// An invalid call: wrong arguments, or not allowed in this state.
+  /// The caller made an invalid call: wrong arguments, or not allowed in this
+  /// state.
   Usage = 6,
   /// The KernelProvider could not compile a kernel or make its adjoint.
   Compile = 7,
@@ -63,7 +65,7 @@ public:
     static const std::string empty;
     return info ? info->where : empty;
   }
-  /// A number for the KernelProvider's own use; see FailureLog.
+  /// A number that the KernelProvider gave the failure; see FailureLog.
   int detail() const { return info ? info->detail : 0; }
 
 private:

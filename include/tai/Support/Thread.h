@@ -58,7 +58,8 @@ public:
       pthread_join(handle, nullptr);
   }
 
-  /// For a forked child, in which the thread does not exist: never join it.
+  /// Gives up the thread without joining it, in a forked child, where the
+  /// thread does not exist.
   void forget() { isJoinable = false; }
 
 private:

@@ -20,7 +20,7 @@
 
 namespace mlir::tai::runtime {
 
-/// A hash that is not cryptographic.
+/// The XXH64 hash of `length` bytes, which is not cryptographic.
 inline uint64_t xxh64(const void *data, size_t length, uint64_t seed = 0) {
   constexpr uint64_t prime1 = 0x9E3779B185EBCA87u;
   constexpr uint64_t prime2 = 0xC2B2AE3D27D4EB4Fu;

@@ -16,8 +16,8 @@
 
 namespace mlir::tai {
 
-/// Attribute of a kernel: updates of elements that its iterations may share are
-/// checked when the kernel runs.
+/// The attribute of a kernel that checks, while it runs, its updates of
+/// elements that several iterations may share.
 constexpr llvm::StringLiteral kCheckUpdatesAttrName = "tai.check_updates";
 
 #define GEN_PASS_DECL

@@ -52,8 +52,8 @@ private:
     return offset == 0 ? index
                        : b.createOrFold<arith::AddIOp>(index, constant(offset));
   }
-  /// `indices`, moved by `position`: the position of a component is added to
-  /// the last indices.
+  /// Emits `indices` moved by `position`: the position of a component is added
+  /// to the last indices.
   SmallVector<Value> move(ValueRange indices, const Position &position) {
     SmallVector<Value> moved(indices);
     size_t first = moved.size() - position.size();

@@ -54,7 +54,7 @@ bool isView(Operation *op) {
       op);
 }
 
-/// Emits sizes and indices of arrays before an op.
+/// Emits sizes of arrays and indices of their elements before an op.
 class Elements {
 public:
   explicit Elements(Operation *before)
@@ -299,7 +299,8 @@ static void expandUpdates(func::FuncOp function) {
     if (found.wasInterrupted())
       loops.push_back(loop);
   });
-  // Inner loops first: the serial copy of an outer loop contains them.
+  // Inner loops come first, because the serial copy of an outer loop contains
+  // them.
   for (scf::ParallelOp loop : llvm::reverse(loops))
     serialize(loop);
   SmallVector<Operation *> updates;
@@ -345,8 +346,8 @@ static void expandUpdates(func::FuncOp function) {
 // Chosen arrays
 //===----------------------------------------------------------------------===//
 
-/// The possible values of an array that a loop carries or a branch chooses;
-/// empty for other arrays.
+/// Returns the possible values of an array that a loop carries or a branch
+/// chooses; empty for other arrays.
 static SmallVector<OpOperand *> getSources(Value array) {
   SmallVector<OpOperand *> sources;
   auto addYield = [&](Block *block, unsigned i) {
@@ -408,8 +409,8 @@ private:
 };
 } // namespace
 
-/// Makes `array` available before `before`, by moving the views that make it.
-/// False if that is impossible.
+/// Makes `array` available before the op `before`, by moving the views that
+/// make it. False if that is impossible.
 bool ChosenArrays::hoist(Value array, Operation *before) {
   if (dominance.properlyDominates(array, before))
     return true;
@@ -446,7 +447,7 @@ LogicalResult ChosenArrays::collect() {
         if (seen.insert(source->get()))
           pending.push_back(source->get());
     }
-    // Find the first op that carries or chooses one of the arrays in `seen`.
+    // Finds the first op that carries or chooses one of the arrays in `seen`.
     Operation *first = nullptr;
     for (Value value : seen)
       if (!getSources(value).empty()) {
@@ -483,7 +484,7 @@ Value ChosenArrays::getNumber(Value array) {
   return numbers[array] = number;
 }
 
-/// A copy of `op` for each array that its operand can be, in a chain of
+/// Emits a copy of `op` for each array that its operand can be, in a chain of
 /// branches on the number of the array.
 static SmallVector<Value> branch(ImplicitLocOpBuilder &b, Operation *op,
                                  unsigned operand, Value number,
@@ -572,15 +573,15 @@ LogicalResult ChosenArrays::run() {
   for (auto &[array, grounds] : chosen)
     if (auto select = array.getDefiningOp<arith::SelectOp>()) {
       OpBuilder b(select);
-      // `chosen` is in program order, so the arrays that this select chooses
-      // from already have numbers.
+      // The list of chosen arrays is in program order, so the arrays that this
+      // select chooses from already have numbers.
       numbers[array] = arith::SelectOp::create(
           b, select.getLoc(), IndexType::get(b.getContext()),
           select.getCondition(), getNumber(select.getTrueValue()),
           getNumber(select.getFalseValue()));
     }
-  // Carry numbers first, so that comparisons of numbers get operands of type
-  // index.
+  // The numbers of arrays are carried first, so that comparisons of numbers get
+  // operands of type index.
   carryNumbers();
   replaceUses();
   for (auto &[array, grounds] : chosen)

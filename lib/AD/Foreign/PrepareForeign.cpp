@@ -154,7 +154,7 @@ static LogicalResult liftBlocks(func::FuncOp function) {
       return function.emitError(
           "cannot make structured control flow of the blocks of this function");
   }
-  // Poison stands for values that are never used; zeros replace it.
+  // The value of a poison op is never used, and a zero replaces it.
   function.walk([](ub::PoisonOp poison) {
     OpBuilder b(poison);
     Type type = poison.getType();
@@ -358,8 +358,8 @@ static bool hasFloats(Type type) {
          isa<FloatType, RankedTensorType>(type);
 }
 
-/// Gives the copy memrefs in place of tensors, and an additional memref for
-/// each result with floats; other results are dropped.
+/// Gives the prepared copy of a function memrefs in place of tensors, and an
+/// additional memref for each result with floats; other results are dropped.
 static LogicalResult passMemory(func::FuncOp function) {
   auto isArray = [](Type type) { return isa<BaseMemRefType>(type); };
   if (function->hasAttr("tai.gradients"))
@@ -531,7 +531,7 @@ func::FuncOp Wrapper::create(bool isForward) {
   Block *block = wrapper.addEntryBlock();
   b.setInsertionPointToStart(block);
 
-  // Collect the arguments of the call of `inner`, in its order: arguments of
+  // Collects the arguments of the call of `inner`, in its order: arguments of
   // the original function, memory for results, then derivatives of both.
   SmallVector<Value> given, shadows;
   auto extra = block->getArguments().drop_front(count).begin();
@@ -607,7 +607,7 @@ func::FuncOp mlir::tai::wrapDerivative(func::FuncOp original,
 // The pass
 //===----------------------------------------------------------------------===//
 
-/// Decomposes ops that aggregate several ops, such as a softmax.
+/// Decomposes ops that stand for several ops, such as a softmax.
 static LogicalResult decomposeOps(func::FuncOp function) {
   SmallVector<linalg::AggregatedOpInterface> ops;
   function.walk([&](linalg::AggregatedOpInterface op) {

@@ -19,30 +19,30 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// How the executions of one block are numbered. The number is the position of
-/// a recorded value in its trace.
+/// Describes how the executions of one block are numbered. The number of an
+/// execution is the position of a recorded value in its trace.
 struct Slot {
-  /// In the primal: the number of the present execution of the block.
+  /// A value of the primal: the number of the present execution of the block.
   Value number;
-  /// In the primal, before the first loop: the number of all executions of the
-  /// block, or null if it cannot be computed there.
+  /// A value of the primal, before the first loop: the number of all executions
+  /// of the block, or null if it cannot be computed before the loop.
   Value count;
-  /// In the gradient: the memref that holds the number of the block's next
-  /// execution.
+  /// A value of the gradient: the memref that holds the number of the block's
+  /// next execution.
   Value next;
 };
 
 /// A recorded value: the result of a read, or the number at which a loop
 /// begins.
 struct Recorded {
-  /// In the primal: the value to record; null for the number at which a loop
-  /// begins.
+  /// The value of the primal that is recorded; null for the number at which a
+  /// loop begins.
   Value value;
-  /// In the primal: the op that loads the recorded value from the trace.
+  /// The op of the primal that loads the recorded value from the trace.
   memref::LoadOp fromTrace;
   Block *block;
-  /// If the record is the number at which a loop begins: the block whose
-  /// executions are numbered.
+  /// If the recorded value is the number at which a loop begins: the block
+  /// whose executions are numbered.
   Block *begins = nullptr;
 };
 
@@ -103,7 +103,7 @@ static SmallVector<std::pair<Operation *, Block *>> getLoops(Block *block) {
   return loops;
 }
 
-/// The block of the innermost loop around `op`, or of the function.
+/// Returns the block of the innermost loop around `op`, or of the function.
 static Block *getLoopBlock(Operation *op) {
   Block *block = op->getBlock();
   while (!isa<FunctionOpInterface, scf::ForOp, scf::ParallelOp, scf::WhileOp>(
@@ -252,8 +252,8 @@ Slot &Recorder::getSlot(Block *block) {
   size_t first = 0;
   Value base;
   if (!isKnown) {
-    // Find the longest nest of loops down to `block` whose trip counts, but for
-    // that of its first loop, are computed before its first loop.
+    // Finds the longest nest of loops down to `block` whose trip counts, but
+    // for that of its first loop, are computed before its first loop.
     first = loops.size() - 1;
     auto extendsTo = [&](size_t begin) {
       return llvm::all_of(
@@ -302,8 +302,7 @@ Slot &Recorder::getSlot(Block *block) {
   b.setInsertionPointToStart(block);
   Value number;
   for (size_t i = first; i < loops.size(); ++i) {
-    // The iteration numbers of all loops around are computed at the start of
-    // `block`.
+    // Emits the iteration numbers of all loops around at the start of `block`.
     Value one = getIteration(loops[i].first, loops[i].second);
     number = number ? b.createOrFold<arith::AddIOp>(
                           b.createOrFold<arith::MulIOp>(number, sizes[i]), one)
@@ -365,7 +364,7 @@ void Recorder::rerun() {
   }
 }
 
-/// Loads the array of a trace from `cell`; grows it if it has no element
+/// Loads the array of a trace from `cell`; grows the array if it has no element
 /// `number`.
 Value Recorder::ensureRoom(Value cell, Value number) {
   Value array = memref::LoadOp::create(b, cell, ValueRange());
@@ -411,8 +410,8 @@ void Recorder::record(Recorded &what, Traces &traces) {
     value = again.lookup(what.value);
     b.setInsertionPointAfterValue(value);
   } else {
-    // For a nest of loops, record the number at which it begins: the number at
-    // which its previous execution has ended.
+    // For a nest of loops, the number at which it begins is recorded, which is
+    // the number at which its previous execution has ended.
     Operation *copy = again.lookup(what.fromTrace.getResult()).getDefiningOp();
     b.setInsertionPoint(copy);
     value = memref::LoadOp::create(b, slots[what.begins].next, ValueRange());
@@ -495,8 +494,8 @@ void Recorder::prune() {
       op->erase();
       changed = true;
     }
-    // Erase the ops of the second execution that have become dead because their
-    // users were erased.
+    // Ops of the second execution that have become dead are erased, because
+    // their users were erased.
     SmallVector<Operation *> ops;
     for (Operation &op : gradient.getFunctionBody().front()) {
       if (&op == end)
@@ -504,8 +503,8 @@ void Recorder::prune() {
       op.walk<WalkOrder::PreOrder>(
           [&](Operation *inner) { ops.push_back(inner); });
     }
-    // In reverse, so that inner ops are visited before the ops around them, and
-    // users before the ops that make their operands.
+    // Ops are visited in reverse, so that inner ops come before the ops around
+    // them, and users before the ops that make their operands.
     for (Operation *op : llvm::reverse(ops))
       if (isOpTriviallyDead(op)) {
         op->erase();

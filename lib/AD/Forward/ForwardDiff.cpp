@@ -187,8 +187,9 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
                  ? Storage(field.getDualAttr())
                  : Storage();
     };
-    // Find the stores by which several iterations may write one element. The
-    // value and the tangent of the element must come from the same iteration.
+    // The stores by which several iterations may write one element are found
+    // here. The value and the tangent of the element must come from the same
+    // iteration.
     auto changesTangent = [&](DifferentiableAccessInterface store) {
       return tangentOf(store.getAccessedStorage()) &&
              !matchPattern(store.getAccessedValue(), m_Constant());

@@ -248,8 +248,8 @@ std::optional<LogicalResult> TangentBuilder::extendLocal(Operation *op) {
     if (!isVaried(storage))
       return success();
     if (isa<MemRefType>(storage.getType()) && failed(checkUsers(storage))) {
-      // Enter the array as its own shadow, so that further accesses to it do
-      // not report the error again.
+      // The array is entered as its own shadow, so that further accesses to it
+      // do not report the error again.
       shadows[storage] = storage;
       return failure();
     }
@@ -294,7 +294,7 @@ std::optional<LogicalResult> TangentBuilder::extendLocal(Operation *op) {
 }
 
 //===----------------------------------------------------------------------===//
-// Queries: does each iteration access elements of its own?
+// Queries whether each iteration accesses only its own elements.
 //===----------------------------------------------------------------------===//
 
 bool TangentBuilder::isExclusive(Operation *op) {

@@ -37,7 +37,8 @@ static std::string getName(DifferentiableAccessInterface access) {
   return "array";
 }
 
-/// The number of iterations of a loop along `dim`, if it is constant.
+/// Returns the number of iterations of a loop along dimension `dim`, if it is
+/// constant.
 static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
   auto getConstant = [](Value value) -> std::optional<int64_t> {
     APInt constant;

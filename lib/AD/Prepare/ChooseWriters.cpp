@@ -58,7 +58,7 @@ using namespace mlir::tai;
 static constexpr int64_t kMaxElements = int64_t(1) << 28;
 
 namespace {
-/// The position of an accessed element: its indices, and the indices of its
+/// Describes an accessed element by its indices, and by the indices of its
 /// component.
 struct Place {
   SmallVector<Value> indices, components;
@@ -130,12 +130,12 @@ struct OpenStorage {
   /// `others`: accesses that may reach elements that other iterations write.
   /// `sums`: accumulations to an element that belongs to the iteration.
   SmallVector<DifferentiableAccessInterface> others, sums;
-  /// Whether stores of two different iterations may reach the same element.
+  /// True if stores of two different iterations may reach the same element.
   bool collides = false;
   /// Whether a store and an accumulation in `sums` may reach the same element
   /// in different iterations. The element would then have several owners.
   bool isMixed = false;
-  /// Whether a derivative passes through one of the stores.
+  /// True if a derivative passes through one of the stores.
   bool isActive = false;
 
   /// The accesses (stores and sums) by which an iteration becomes the owner of
@@ -278,7 +278,7 @@ public:
   LogicalResult serialize(bool isReversed);
 
 private:
-  /// One dimension of the buffer that holds the owners of elements.
+  /// Describes one dimension of the buffer that holds the owners of elements.
   struct Dimension {
     unsigned position;
     int64_t first = 0;
@@ -314,7 +314,7 @@ private:
   /// iterations.
   SmallVector<Value> lower, extents;
   IntegerType type;
-  /// The copy of the loop that computes the owners.
+  /// The copy of the loop that computes the owners of elements before the loop.
   ParallelForOp decision;
   IRMapping copies;
   /// Set if the owners cannot be computed before the loop because they depend
@@ -403,7 +403,7 @@ void LoopWriters::countIterations() {
       b.getIntegerType(known <= std::numeric_limits<int32_t>::max() ? 32 : 64);
 }
 
-/// The row-major number of the iteration whose loop indices are `ivs`.
+/// Emits the row-major number of the iteration whose loop indices are `ivs`.
 Value LoopWriters::createNumber(OpBuilder &builder, ValueRange ivs) {
   ImplicitLocOpBuilder at(loop.getLoc(), builder);
   Value number = arith::ConstantIndexOp::create(at, 0);
@@ -481,8 +481,9 @@ static bool reduceTo(ParallelForOp copy, const DenseSet<Operation *> &kept) {
   return effects.empty();
 }
 
-/// Emits, in the copy of the loop that decides the owners: this iteration
-/// becomes the owner of the elements that it writes, if its number is greater.
+/// Emits, in the copy of the loop that decides the owners, code that makes this
+/// iteration the owner of the elements that it writes, if its number is greater
+/// than that of the present owner.
 void LoopWriters::claim(const OpenStorage &storage, const Owned &owned,
                         const IRMapping &copies, Value number) {
   for (DifferentiableAccessInterface write : storage.getClaims()) {
@@ -496,8 +497,9 @@ void LoopWriters::claim(const OpenStorage &storage, const Owned &owned,
   }
 }
 
-/// In the loop: only the owner of an element stores to it. The accesses in
-/// `others` assert that no other iteration owns their element.
+/// Restricts stores in the loop: only the owner of an element stores to it. The
+/// accesses in `others` get an assertion that no other iteration owns their
+/// element.
 void LoopWriters::restrict(const OpenStorage &storage, const Owned &owned,
                            Value number) {
   auto createOwner = [&](DifferentiableAccessInterface access) {
@@ -704,7 +706,7 @@ LogicalResult LoopWriters::serialize(bool isReversed) {
 
 LogicalResult mlir::tai::chooseWriters(FunctionOpInterface function,
                                        StoreFilter matters, bool isReversed) {
-  // Analyse all loops before changing any of them.
+  // All loops are analysed before any of them is changed.
   SmallVector<std::pair<ParallelForOp, SmallVector<OpenStorage>>> loops;
   for (ParallelForOp loop : getParallelLoops(function))
     if (SmallVector<OpenStorage> open = findOpen(loop, matters, isReversed);

@@ -43,8 +43,8 @@ static Value choose(OpBuilder &b, Location loc, arith::CmpFPredicate wins,
   return arith::SelectOp::create(b, loc, stays, old, value);
 }
 
-/// The element after the update: `old` combined with `value`. In a tie of
-/// minimum and maximum, `value` wins.
+/// Emits the value of the element after the update: `old` combined with
+/// `value`. In a tie of minimum and maximum, `value` wins.
 static Value combine(OpBuilder &b, AtomicOp atomic, Value old, Value value) {
   Location loc = atomic.getLoc();
   AtomicKind kind = atomic.getKind();

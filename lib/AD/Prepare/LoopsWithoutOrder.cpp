@@ -22,7 +22,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The dimensions in which the loop may have more than one iteration.
+/// Returns the dimensions in which the loop may have more than one iteration.
 static SmallVector<Value> getMovingDimensions(scf::ParallelOp loop) {
   SmallVector<Value> moving;
   for (auto [iv, lower, upper, step] :

@@ -31,7 +31,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Accesses to one element within a scope, in program order.
+/// The accesses to one element within a scope (a block), in program order.
 struct Group {
   SmallVector<IndexExpr> indices, components;
   Accesses accesses;
@@ -62,8 +62,9 @@ static bool isWrite(DifferentiableAccessInterface access) {
   return access.getAccessKind() != AccessKind::Read;
 }
 
-/// True if `value` is defined in the scope's block or outside of it, not in a
-/// nested region: it does not change during one run of the scope.
+/// True if `value` is defined in the block of the scope or outside of it, and
+/// not in a nested region, so that it does not change during one run of the
+/// scope.
 bool Scope::isVisible(Value value) {
   return value.getParentBlock()->getParentOp()->isAncestor(
       block->getParentOp());
@@ -107,7 +108,7 @@ bool Scope::needsVariable(const Group &group) {
 }
 
 /// True if no other iteration of the enclosing parallel loop can access the
-/// element of the group.
+/// group's element.
 bool Scope::isOwned(Group &group) {
   if (llvm::any_of(group.accesses, [&](auto access) {
         return access.getAccessKind() == AccessKind::Write && isCertain(access);
@@ -165,8 +166,8 @@ bool Scope::canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
   return isOwned(group);
 }
 
-/// An access of the group whose index operands are computed before the group's
-/// first access, so that the variable can be loaded there; or null.
+/// Returns an access of the group whose index operands are computed before the
+/// group's first access, so that the variable can be loaded there; or null.
 DifferentiableAccessInterface Scope::findLeader(const Group &group) {
   Operation *before = block->findAncestorOpInBlock(*group.accesses.front());
   auto isKnown = [&](Value value) {

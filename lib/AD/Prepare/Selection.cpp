@@ -39,8 +39,8 @@ static LogicalResult checkTaped(LaunchOp launch, ModuleOp module) {
   return diag;
 }
 
-/// The kernels that are launched under a tape, or nullopt if the module has no
-/// tape.
+/// Returns the kernels that are launched under a tape, or nullopt if the module
+/// has no tape.
 static FailureOr<std::optional<DenseSet<StringAttr>>>
 collectTaped(ModuleOp module) {
   DenseSet<StringAttr> kernels;

@@ -25,8 +25,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The values computed from `source`, directly or through other values, but not
-/// through memory.
+/// Finds the values computed from `source`, directly or through other values,
+/// but not through memory.
 static DenseSet<Value> getDependents(Value source) {
   DenseSet<Value> found;
   SmallVector<Value> worklist = {source};
@@ -84,7 +84,8 @@ static FailureOr<Path> findPath(Value source, ValueRange values) {
     if (!dependents.contains(value)) {
       if (isLocalRead(value))
         return failure();
-      // Constants are copied into the function, because rules look for them.
+      // Constants are copied into the new function, because derivative rules
+      // look for constant operands.
       if (op && op->hasTrait<OpTrait::ConstantLike>())
         path.ops.insert(op);
       else
@@ -115,8 +116,8 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
   if (path->ops.empty())
     return SmallVector<SmallVector<Value>>(positions.size(), nothing);
 
-  // The function's arguments: memory of the source, memory of its tangent, then
-  // the captured values.
+  // The arguments of the derivative function: memory of the source, memory of
+  // its tangent, then the captured values.
   auto memory = MemRefType::get({}, type);
   SmallVector<Type> inputs = {memory, memory};
   for (Value value : path->captured)
@@ -175,8 +176,7 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
         arith::ConstantOp::create(builder, DenseElementsAttr::get(type, seed));
     IRMapping out = known;
     for (Operation &op : body->without_terminator()) {
-      // The only loads of the function are those of the source and of its
-      // tangent.
+      // The derivative function loads only the source and its tangent.
       if (auto read = dyn_cast<memref::LoadOp>(op))
         out.map(read.getResult(),
                 read.getMemref() == body->getArgument(0) ? stopped : direction);

@@ -86,7 +86,7 @@ static Operation *getDecomposition(Value factor) {
   return nullptr;
 }
 
-/// The scalar that all components of a vector equal, null if there is none.
+/// Returns the scalar that all components of a vector equal, or null.
 static Value getSplat(OpBuilder &builder, Value vector) {
   if (auto broadcast = vector.getDefiningOp<vector::BroadcastOp>())
     return isa<VectorType>(broadcast.getSourceType()) ? Value()
@@ -428,7 +428,7 @@ void mlir::tai::dropForms(FunctionOpInterface function) {
   });
   if (forms.empty())
     return;
-  // Erase dead ops, users before the ops that make their operands.
+  // Dead ops are erased here, users before the ops that make their operands.
   function.walk<WalkOrder::PostOrder, mlir::ReverseIterator>([](Operation *op) {
     if (isOpTriviallyDead(op))
       op->erase();

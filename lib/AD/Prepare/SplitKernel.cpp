@@ -34,8 +34,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// In place of a segment number: an op at the top level of the kernel that has
-/// no side effects, so that several parts may repeat it.
+/// The segment number of an op at the top level of the kernel that has no side
+/// effects, so that several parts may repeat it.
 constexpr int kShared = -1;
 
 /// True if an op inside of `op` has a side effect other than a read.
@@ -78,7 +78,7 @@ static SmallVector<int> findSegments(KernelOp kernel, int &count) {
   return segments;
 }
 
-/// The ops at the top level of a kernel, by position.
+/// Returns the ops at the top level of a kernel, by position.
 static SmallVector<Operation *> getTopLevel(KernelOp kernel) {
   return llvm::map_to_vector(kernel.getBody().front().without_terminator(),
                              [](Operation &op) { return &op; });

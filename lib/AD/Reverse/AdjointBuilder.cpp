@@ -201,7 +201,7 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   return result;
 }
 
-/// Allocates zero adjoints of the arrays that the block allocates.
+/// Emits zero adjoints of the arrays that the block allocates.
 void AdjointBuilder::createOwnAdjoints(Frame &frame) {
   Location loc = getLoc();
   for (Operation &op : *frame.primal) {
@@ -354,8 +354,8 @@ static bool collectMakers(AdjointBuilder &b, Value value,
     if (makers.size() > kMany)
       return false;
     if (auto read = dyn_cast<DifferentiableAccessInterface>(op)) {
-      // The read must not be of an element that is overwritten later: here, the
-      // adjoint of the element would be that of the new value.
+      // The read must not be of an element that is overwritten later, because
+      // the adjoint of the element would be that of the new value.
       if (b.mayBeOverwritten(read))
         return false;
       continue;

@@ -20,7 +20,7 @@ FailureOr<bool> AdjointPlanner::settle(const PrimalDemands &demands) {
   before.clear();
   for (Operation *draw : demands.draws)
     hasGrown |= larger.addRecorded(draw);
-  // Group the reads by storage, with storages in program order.
+  // Reads are grouped by storage, with storages in program order.
   llvm::MapVector<const void *, SmallVector<DifferentiableAccessInterface>>
       byStorage;
   for (auto &[storage, list] : plan.accesses.getStorages())
@@ -70,7 +70,7 @@ bool AdjointPlanner::findsStored(ArrayRef<Operation *> stores) const {
 }
 
 /// Requests a record of `reads` if their values are no longer in memory when
-/// the adjoint runs. Returns whether a record was requested.
+/// the adjoint runs. Returns true if a record was requested.
 bool AdjointPlanner::chooseRecorded(
     ArrayRef<DifferentiableAccessInterface> reads) {
   if (!plan.local.toRecord)
@@ -128,7 +128,8 @@ AdjointPlanner::chooseVersion(ArrayRef<DifferentiableAccessInterface> reads) {
   FlatSymbolRefAttr field = lost.getAccessedStorage().field;
   if (plan.reexecution.isRewritten(getStorageKey(lost)) &&
       planReexecution(lost, reads)) {
-    // The second execution starts from the version before the kernel.
+    // The second execution starts from the contents of the field before the
+    // kernel.
     before.push_back(field);
     return success();
   }

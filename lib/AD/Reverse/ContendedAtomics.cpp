@@ -194,7 +194,7 @@ ContendedAtomics::countLoops(ParallelForOp loop, AtomicOp atomic) {
 // The loop, forward
 //===----------------------------------------------------------------------===//
 
-/// The number of the current execution of the atomic, linearized over the
+/// Emits the number of the current execution of the atomic, linearized over the
 /// iterations of the loops around it.
 static Value createRun(AdjointBuilder &b, const KeptValues &kept,
                        llvm::function_ref<Value(Value)> getIndex) {
@@ -261,13 +261,13 @@ LogicalResult ContendedAtomics::keepValues(FunctionOpInterface kernel,
                             [&](Value iv) { return mapping.lookup(iv); });
       group.keepValue(kept[atomic], place, run);
     }
-  // Remove effects before anything else, so that no values are requested for
-  // the erased ops.
+  // The effects of the copied loop are removed before anything else, so that no
+  // values are requested for the erased ops.
   if (failed(removeEffects(b, copy, originals))) {
     copy->erase();
     return failure();
   }
-  // Collect the values that the copied loop uses, and the reads that it makes.
+  // Collects the values that the copied loop uses, and the reads that it makes.
   llvm::SetVector<Value> used;
   llvm::SetVector<Operation *> reads;
   copy->walk([&](Operation *op) {
@@ -278,8 +278,8 @@ LogicalResult ContendedAtomics::keepValues(FunctionOpInterface kernel,
       reads.insert(original);
   });
   for (Operation *read : reads) {
-    // The value of a re-executed read is available only in the reverse of its
-    // iteration.
+    // The value of a re-executed read is available only in the reverse of the
+    // read's own iteration.
     if (b.isReexecuted(read))
       b.emitError(read,
                   "the value read here decides on a value that iterations "

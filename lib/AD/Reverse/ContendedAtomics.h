@@ -44,7 +44,8 @@ public:
   void add(AtomicOp atomic) { atomics.push_back(atomic); }
   MutableArrayRef<AtomicOp> getAtomics() { return atomics; }
 
-  /// Allocates the buffers that have an entry for each element of the field.
+  /// Emits the allocation of the buffers that have an entry for each element of
+  /// the field.
   LogicalResult prepare();
   KeptValues createKept(ArrayRef<CountedLoop> loops);
   /// Emits, after `copy` (the atomic in a copy of the loop), stores of its
@@ -56,12 +57,12 @@ public:
   void createAdjoints(ArrayRef<KeptValues> kept);
 
 private:
-  /// One dimension of the set of elements that are updated.
+  /// One dimension of the set of elements that a contended atomic updates.
   struct Dimension {
     Value fixed; // null unless all updates have the same index
     int64_t first, extent;
   };
-  /// The element at which a loop over all elements currently is.
+  /// The element at which a loop over all updated elements currently is.
   struct Element {
     Value number;
     SmallVector<Value> indices, components;
@@ -98,8 +99,8 @@ private:
   ParallelForOp loop;
   AtomicKind kind;
   SmallVector<AtomicOp> atomics;
-  /// The type in which adjoints are computed: that of the field, but at least
-  /// f32.
+  /// The float type in which adjoints are computed: that of the field, but at
+  /// least f32.
   Type real;
   SmallVector<Dimension> dimensions;
   unsigned rank = 0; // of the field, without its components
@@ -114,13 +115,14 @@ class ContendedAtomics {
 public:
   explicit ContendedAtomics(AdjointBuilder &builder) : b(builder) {}
 
-  /// To be called before the reverse of `loop` is emitted: emits the adjoints
-  /// of the contributions of all its contended atomics.
+  /// Emits the adjoints of the contributions of all contended atomics in
+  /// `loop`. Must be called before the reverse of the loop is emitted.
   LogicalResult begin(FunctionOpInterface kernel, ParallelForOp loop);
-  /// Called while the reverse of the loop is emitted: the adjoint of the value
-  /// that `atomic` contributes, or null if the atomic is not contended.
+  /// Returns the adjoint of the value that `atomic` contributes, or null if the
+  /// atomic is not contended. Called while the reverse of the loop is emitted.
   Value getAdjoint(AtomicOp atomic);
-  /// To be called after the reverse of the loop is emitted: frees the buffers.
+  /// Frees the buffers of the contended atomics. Must be called after the
+  /// reverse of the loop is emitted.
   void end();
 
 private:
@@ -139,8 +141,8 @@ private:
 /// all iterations.
 bool isKnownBefore(Operation *loop, Value value);
 
-/// The position that an atomic updates: the indices of the element, then the
-/// indices of the component.
+/// Returns the position that an atomic updates: the indices of the element,
+/// then the indices of the component.
 SmallVector<Value> getElementPosition(AtomicOp atomic);
 
 } // namespace mlir::tai

@@ -198,7 +198,8 @@ LogicalResult Contention::prepare() {
                                  "run 'tai-expand-atomics' first");
     return failure();
   }
-  // Compute in a type at least as wide as that of the adjoint field.
+  // The adjoint is computed in a type at least as wide as the type of the
+  // adjoint field.
   Type adjoint =
       getNumberType(b.getAdjointStorage(getStorage()), atomics.front());
   real = type.getIntOrFloatBitWidth() < 32 ? Type(b.getF32Type()) : type;
@@ -269,7 +270,8 @@ void Contention::keepValue(const KeptValues &kept, AtomicOp copy, Value run) {
   memref::AtomicRMWOp::create(b, combine, value, total, element);
 }
 
-/// Counts the values that are equal to the extreme one, or the zeros.
+/// Emits a count of the contributions that decide the result: the values equal
+/// to the extreme one, or the zeros of a product.
 void Contention::countDeciding(const KeptValues &kept) {
   createValueLoop(kept, [&](Value, Value element, Value value) {
     Value decides =
@@ -286,8 +288,8 @@ void Contention::countDeciding(const KeptValues &kept) {
 // Adjoints
 //===----------------------------------------------------------------------===//
 
-/// The adjoint of one factor of an element. The weight of the element is its
-/// adjoint times its old value and all non-zero factors.
+/// Emits the adjoint of one factor of an element. The weight of the element is
+/// its adjoint times its old value and all non-zero factors.
 Value Contention::createFactorAdjoint(Value factor, Value element) {
   Value all = load(weight, element), zeros = load(count, element);
   Value zero = constant(0);

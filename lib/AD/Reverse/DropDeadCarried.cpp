@@ -69,7 +69,7 @@ static void dropFromWhile(scf::WhileOp loop, ArrayRef<bool> kept,
                           ArrayRef<bool> passed) {
   OpBuilder builder(loop);
   SmallVector<Value> inits(loop.getInits());
-  // Dropped results have only dead users, for which any value will do.
+  // Dropped results have only dead users, so any value may replace them.
   SmallVector<Value> dead;
   for (Type type : loop.getResultTypes())
     dead.push_back(

@@ -35,8 +35,9 @@ static constexpr StringLiteral kAdjoint = "tai.adjoint";
 static constexpr StringLiteral kDifferentiate = "tai.differentiate";
 
 namespace {
-/// The positions by which `op` differentiates the callee: active arguments,
-/// then active results. The value of the attribute `tai.gradients`.
+/// Returns the positions by which `op` differentiates the callee: active
+/// arguments, then active results. They are the value of the attribute
+/// `tai.gradients`.
 SmallVector<int64_t> getPositions(GradOp op, func::FuncOp callee) {
   SmallVector<int64_t> positions = op.getActiveArguments(callee);
   for (int64_t i : op.getActiveResults(callee))
@@ -241,7 +242,8 @@ struct ExpandGradients : tai::impl::ExpandGradientsBase<ExpandGradients> {
     for (auto [op, source] : llvm::zip(ops, sources))
       replace(op, source,
               source->getAttrOfType<FlatSymbolRefAttr>(kAdjoint).getValue());
-    // Erase the copies: the derivatives made from them do not call them.
+    // The copies of functions are erased, because the derivatives made from
+    // them do not call them.
     for (auto &[key, copy] : copies)
       if (SymbolTable::symbolKnownUseEmpty(copy, module))
         copy.erase();

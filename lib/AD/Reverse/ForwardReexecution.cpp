@@ -23,8 +23,8 @@ constexpr llvm::StringLiteral kRepeatedReadAttrName = "tai.rerun_read";
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The ops of a primal block that have to be executed again; copies them into
-/// the mirror of the block.
+/// Finds the ops of a primal block that have to be executed again, and copies
+/// them into the mirror of the block.
 class Slice {
 public:
   Slice(AdjointBuilder &builder, ReexecutedBlock &again,

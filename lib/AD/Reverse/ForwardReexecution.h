@@ -49,7 +49,8 @@ struct ReexecutedBlock {
   Frame &frame;
   /// The enclosing re-executed block, or null.
   std::unique_ptr<ReexecutedBlock> parent;
-  /// A placeholder op, before which the stacks are created.
+  /// A placeholder op at the start of the block, before which the stacks are
+  /// created.
   Operation *begin = nullptr;
   /// Maps values of the primal block, and of blocks nested in it, to the values
   /// of the second execution.
@@ -75,11 +76,11 @@ public:
   /// may record further values later, which this mirror must then pop as well.
   void leave(Frame &frame);
 
-  /// The recorded value of the primal value `value`, popped at the start of the
-  /// mirror of the value's block.
+  /// Returns the recorded value of the primal value `value`, popped at the
+  /// start of the mirror of the value's block.
   Value fetch(Frame &frame, Value value);
-  /// The number of times that the second region of `loop` ran in the second
-  /// execution; `loop` contains recorded ops.
+  /// Returns the number of times that the second region of `loop` ran in the
+  /// second execution; `loop` contains recorded ops.
   Value fetchCount(scf::WhileOp loop);
 
   /// Adds the reads of the second execution that the adjoint uses to `demands`,
@@ -89,7 +90,7 @@ public:
 private:
   AdjointBuilder &b;
   const ReexecutionPlan &plan;
-  /// The innermost block that is being re-executed.
+  /// The innermost primal block that is being re-executed.
   std::unique_ptr<ReexecutedBlock> innermost;
   /// The primal reads that are repeated. The repeated read has the index of its
   /// primal read in this list as an attribute.

@@ -188,8 +188,8 @@ Value LoopHistory::createClosedForm(Frame &frame, const CarriedValue &value,
   return b.createOrFold<arith::AddIOp>(init, change);
 }
 
-/// The value, at the start of the next iteration, of the carried value number
-/// `index`.
+/// Returns the value, at the start of the next iteration, of the carried value
+/// number `index`.
 Value LoopHistory::getNext(unsigned index) {
   BlockArgument &next = nexts[index];
   if (!next)
@@ -198,7 +198,8 @@ Value LoopHistory::getNext(unsigned index) {
   return next;
 }
 
-/// The inverse of the odd number `value` modulo 2^n, where n is its width.
+/// Returns the inverse of the odd number `value` modulo 2^n, where n is its
+/// width.
 static APInt invertOdd(const APInt &value) {
   APInt inverse = value; // correct in 3 bits; each step doubles them
   APInt two(value.getBitWidth(), 2, false, /*implicitTrunc=*/true);

@@ -20,7 +20,8 @@ static std::string printType(Type type) {
   return text;
 }
 
-/// The name of a value in the program, or its index among carried values.
+/// Returns the name of a value in the program, or its index among carried
+/// values.
 static std::string getName(Value value, unsigned index) {
   if (auto name = value.getLoc()->findInstanceOf<NameLoc>())
     return name.getName().str();

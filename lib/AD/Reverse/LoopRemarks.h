@@ -17,10 +17,10 @@ namespace mlir::tai {
 struct ReversedLoop {
   struct Carried {
     Value value;
-    /// Name of the way in which the reverse recovers the value; see
-    /// CarriedKind.
+    /// Returns the name, for remarks, of the method by which the reverse
+    /// recovers a carried value; see CarriedKind.
     StringRef kind;
-    /// Whether the value is part of the checkpoint of each chunk.
+    /// True if the value is part of the checkpoint at the start of each chunk.
     bool isKeptByChunks;
   };
 
@@ -28,8 +28,8 @@ struct ReversedLoop {
   StringRef function;
   /// The number of iterations, in words for the remark.
   std::string trips = "counted by a run of the loop";
-  /// Bytes that the reverse records for each iteration; 0 if nothing is
-  /// recorded.
+  /// The number of bytes that the reverse records for each iteration; 0 if
+  /// nothing is recorded.
   int64_t bytesPerIteration = 0;
   /// If the record takes more bytes than this, it is made in chunks of
   /// iterations; 0 means never.

@@ -141,9 +141,9 @@ static bool canLeave(Value value, Block *block, unsigned depth) {
          });
 }
 
-/// The size and the number of chunks for `trips` iterations. The size is the
-/// square root of `trips`, but at least `most`. An integer division is avoided,
-/// because it could not be hoisted out of a loop around this one.
+/// Emits the size and the number of chunks for `trips` iterations. The size is
+/// the square root of `trips`, but at least `most`. An integer division is
+/// avoided, because it could not be hoisted out of a loop around this one.
 static std::pair<Value, Value> createSquareRoots(AdjointBuilder &b, Value trips,
                                                  Value most) {
   Type integer = b.getI64Type(), real = b.getF64Type();
@@ -162,8 +162,7 @@ static std::pair<Value, Value> createSquareRoots(AdjointBuilder &b, Value trips,
   return {size, number};
 }
 
-/// Computes the size and the number of chunks; null values if one chunk is
-/// enough.
+/// Emits the size and the number of chunks; null values if one chunk is enough.
 LoopTrajectory::Chunks LoopTrajectory::createChunks() {
   int64_t limit = std::max<int64_t>(1, b.getPlan().options.historyBytes /
                                            getBytesPerIteration());
@@ -230,8 +229,8 @@ void LoopTrajectory::record() {
     storeRecorded(forward);
 }
 
-/// Bounds of the loop's induction variable for the iterations number `begin` to
-/// `end`.
+/// Emits the bounds of the loop's induction variable for the iterations number
+/// `begin` to `end`.
 std::pair<Value, Value> LoopTrajectory::createRange(Value begin, Value end) {
   auto forOp = dyn_cast<scf::ForOp>(loop);
   if (!forOp)
@@ -254,8 +253,8 @@ std::pair<Value, Value> LoopTrajectory::createRange(Value begin, Value end) {
     return position;
   };
   Value first = scale(begin), after = scale(end);
-  // For the last chunk, use the upper bound itself: lower bound plus end times
-  // step may exceed the range of the type.
+  // For the last chunk, the upper bound itself is used, because lower bound
+  // plus end times step may exceed the range of the type.
   if (!isUnit)
     after = arith::SelectOp::create(
         b, arith::CmpIOp::create(b, arith::CmpIPredicate::eq, end, count),
@@ -311,8 +310,8 @@ void LoopTrajectory::recordChunks() {
   }
 }
 
-/// The position, in the buffer of carried value `index`, of the checkpoint of
-/// chunk number `chunk`.
+/// Returns the position, in the buffer of carried value `index`, of the
+/// checkpoint of chunk number `chunk`.
 Value LoopTrajectory::getStart(unsigned index, Value chunk) {
   return histories.contains(index)
              ? arith::AddIOp::create(b, chunks.room, chunk).getResult()
@@ -331,7 +330,7 @@ scf::ForOp LoopTrajectory::finishReverse(scf::ForOp reverse,
   return reverse;
 }
 
-/// The loop over chunks from the last to the first. The forward loop has
+/// Emits the loop over chunks from the last to the first. The forward loop has
 /// recorded the last chunk; each other chunk is recorded before the reverse of
 /// its iterations.
 scf::ForOp LoopTrajectory::createReverseChunks(ReverseDraft &draft,

@@ -42,8 +42,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The type of the adjoint: the arguments of `function`, then the memrefs of
-/// adjoints; no results.
+/// Returns the function type of the adjoint: the arguments of `function`, then
+/// the memrefs of adjoints; no results.
 static FunctionType getAdjointType(FunctionOpInterface function,
                                    const AdjointSignature &signature) {
   SmallVector<Type> inputs(function.getArgumentTypes());
@@ -100,7 +100,7 @@ static void relaxArrayAccumulations(FunctionOpInterface function) {
   }
 }
 
-/// True if some field that the function accesses has a sparse level above it.
+/// True if some field that the function accesses lies below a sparse level.
 static bool reachesSparse(FunctionOpInterface function) {
   WalkResult result = function->walk([](Operation *op) {
     FlatSymbolRefAttr name = getNamedField(op);
@@ -338,7 +338,8 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
       local.records = std::move(traces.arrays);
       before = std::move(traces.before);
     }
-    // Hold diagnostics back: an attempt that lacks values is repeated.
+    // Diagnostics are held back, since an attempt that lacks values is
+    // repeated.
     std::vector<Diagnostic> said;
     LogicalResult filled = failure();
     {
@@ -392,7 +393,8 @@ static LogicalResult fill(FunctionOpInterface function,
   };
   if (!options.skips.has(Skip::InactiveValues)) {
     // The skip of inactive values is off, so they are differentiated like
-    // active ones. If one of them has no derivative, try again with the skip.
+    // active ones. If one of them has no derivative, the adjoint is made again
+    // with the skip.
     SilencedDiagnostics silence(function.getContext());
     if (succeeded(fillOnce()))
       return success();
@@ -413,7 +415,7 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
 /// Stores the estimated cost of the original loops in an attribute, which the
 /// loops of the adjoint inherit.
 static void fixCosts(FunctionOpInterface function) {
-  // Assumed time of a gradient relative to its primal.
+  // The assumed time of a gradient relative to the time of its primal.
   constexpr double perPrimal = 3;
   Builder builder(function.getContext());
   function->walk([&](ParallelForOp loop) {
@@ -456,8 +458,9 @@ struct MakeAdjoint
   /// has stored, if it saves time. The adjoint refers to it in an attribute.
   void makeStoredForm(FunctionOpInterface function, KernelOp adjoint,
                       const AdjointSignature &signature, SymbolTable &symbols) {
-    // Nanoseconds that loading stored values must save in an iteration. A load
-    // saves nothing if other values need the recomputation as well.
+    // The time in nanoseconds that loading stored values must save in an
+    // iteration. A load saves nothing if other values need the recomputation as
+    // well.
     constexpr double worthHaving = 4;
     std::string name = (adjoint.getName() + "_stored").str();
     if (symbols.lookup(name) || adjoint.getReexecutes() ||
@@ -467,8 +470,8 @@ struct MakeAdjoint
     auto shell =
         cast<KernelOp>(createShell(function, name, signature).getOperation());
     bool zeroes = adjoint.getZeroesAdjoint();
-    // Suppress diagnostics: the plain form of the adjoint has emitted all of
-    // them.
+    // Diagnostics are suppressed, because the plain form of the adjoint has
+    // emitted all of them.
     SilencedDiagnostics silence(&getContext());
     if (failed(fillAdjoint(function, shell, signature,
                            getOptions(zeroes, /*loadsStored=*/true))) ||
@@ -485,8 +488,8 @@ struct MakeAdjoint
     adjoint.setStoredFormAttr(FlatSymbolRefAttr::get(&getContext(), name));
   }
 
-  /// Refuses to split the derivative of a kernel, or of a function of tensors,
-  /// into two functions.
+  /// Reports an error if the derivative of a kernel, or of a function of
+  /// tensors, is requested as two functions, which is not supported.
   LogicalResult checkSplits(FunctionOpInterface function,
                             FunctionOpInterface original) {
     if (isa<func::FuncOp>(function.getOperation()) && !isWrapped(function))
@@ -543,7 +546,8 @@ struct MakeAdjoint
         AdjointSignature::get(function, arrays);
     if (failed(signature))
       return failure();
-    // A declaration lets the module call an adjoint that is yet to be made.
+    // A declaration of the adjoint, which is yet to be made, lets the module
+    // call it.
     if (auto declared = dyn_cast_if_present<func::FuncOp>(taken);
         declared && declared.isExternal() &&
         declared.getFunctionType() == getAdjointType(function, *signature)) {

@@ -21,8 +21,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Ops whose partial derivatives are 1, -1, or an absent entry: none of them
-/// multiplies an infinite adjoint by zero.
+/// True for ops whose partial derivatives are 1, -1, or an absent entry: none
+/// of them multiplies an infinite adjoint by zero.
 static bool movesOrSums(Operation *op) {
   return isa<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::ExtFOp,
              arith::TruncFOp, vector::BroadcastOp, vector::ExtractOp,
@@ -34,7 +34,8 @@ static bool movesOrSums(Operation *op) {
 // Loops and branches
 //===----------------------------------------------------------------------===//
 
-/// Whether the rule of an op may make an infinite adjoint of a finite one.
+/// True if the derivative rule of an op may turn a finite adjoint into an
+/// infinite one.
 static bool mayMakeInfinite(OpOperand &operand, FloatFacts &facts) {
   Operation *op = operand.getOwner();
   auto isNonFinite = [&](Value value) { return facts.mayBeNonFinite(value); };
@@ -61,8 +62,8 @@ public:
               DenseSet<Value> &undefined)
       : b(b), all{{}, {}}, handedOn{&infinite, &undefined} {}
 
-  /// Walks once over the function, from its end to its beginning. True if it
-  /// has found more values whose adjoint may be non-finite.
+  /// Walks over the function once, from its end to its beginning. True if the
+  /// walk has found more values whose adjoint may be non-finite.
   bool run(FunctionOpInterface function) {
     grown = false;
     function.walk<WalkOrder::PreOrder, ReverseIterator>(
@@ -170,7 +171,8 @@ void NonFiniteAdjoints::findSeeds(Operation *op) {
     }
 }
 
-/// Tests whether an incoming adjoint of the current rule is infinite.
+/// Emits the test whether an incoming adjoint of the current derivative rule is
+/// infinite.
 Value NonFiniteAdjoints::createInfinityTest() {
   Value any;
   for (Value seed : infiniteSeeds) {
@@ -229,7 +231,7 @@ Value NonFiniteAdjoints::createUnitContribution(Value contribution) {
   return mapping.lookup(contribution);
 }
 
-/// Whether `value` is a constant without a component that is zero or NaN.
+/// True if `value` is a constant without a component that is zero or NaN.
 static bool isNonZeroConstant(Value value) {
   Attribute constant;
   if (!matchPattern(value, m_Constant(&constant)))
@@ -250,9 +252,9 @@ Value NonFiniteAdjoints::createTagged(Value drops, Value contribution) {
   return guard;
 }
 
-/// The contribution of an infinite adjoint: zero if the partial derivative is
-/// zero, instead of the NaN of their product. A partial derivative that is NaN
-/// is not replaced.
+/// Emits the contribution of an infinite adjoint: zero if the partial
+/// derivative is zero, instead of the NaN of their product. A partial
+/// derivative that is NaN is not replaced.
 Value NonFiniteAdjoints::guard(Value value, Value contribution) {
   if (seedIsUndefined)
     mayBeUndefined.insert(value);

@@ -31,14 +31,14 @@ public:
   void markInfinite(Value value) { mayBeInfinite.insert(value); }
   void markUndefined(Value value) { mayBeUndefined.insert(value); }
 
-  /// To be called before and after the rule of `op` is applied.
+  /// Must be called before and after the derivative rule of `op` is applied.
   void beginRule(Operation *op);
   void endRule();
-  /// True if an incoming adjoint of the current rule may be NaN.
+  /// True if an incoming adjoint of the current derivative rule may be NaN.
   bool isSeedUndefined() const { return seedIsUndefined; }
 
-  /// The contribution of the current rule to the adjoint of `value`, with a
-  /// guard if one is needed.
+  /// Emits the contribution of the current derivative rule to the adjoint of
+  /// `value`, with a guard if one is needed.
   Value guard(Value value, Value contribution);
 
 private:
@@ -49,15 +49,15 @@ private:
 
   AdjointBuilder &b;
   DenseSet<Value> mayBeInfinite, mayBeUndefined;
-  /// The op whose rule is being applied, its incoming adjoints, and the
-  /// incoming adjoints that may be infinite.
+  /// The op whose derivative rule is being applied, its incoming adjoints, and
+  /// the incoming adjoints that may be infinite.
   Operation *current = nullptr;
   llvm::SmallSetVector<Value, 2> seeds;
   SmallVector<Value, 2> infiniteSeeds;
   /// A value of type i1: whether an incoming adjoint is infinite. Null until
   /// needed.
   Value seedIsInfinite;
-  /// Whether an incoming adjoint of the current rule may be NaN.
+  /// True if an incoming adjoint of the current derivative rule may be NaN.
   bool seedIsUndefined = false;
 };
 

@@ -18,10 +18,9 @@ mlir::tai::reverseParallelBody(AdjointBuilder &b, Operation *loop,
                                Block &primal, Block &mirror,
                                llvm::function_ref<void(Frame &)> begin,
                                llvm::function_ref<void()> terminate) {
-  // For each value that the body captures from outside of the loop: a buffer
-  // that sums the adjoints of all iterations, with an element for each
-  // component. The lowering of loops keeps such sums in registers; see
-  // tai-relax-atomics.
+  // For each value that the loop body captures from outside: a buffer that sums
+  // the adjoints of all iterations, with an element for each component. The
+  // lowering of loops keeps such sums in registers; see tai-relax-atomics.
   SmallVector<std::pair<Value, Value>> sums;
   auto end = [&](Frame &frame) {
     // Most captured values come from a few reads. The contributions of each

@@ -75,7 +75,8 @@ Value Rematerializer::materialize(Frame &frame, Value value) {
   } else if (Value kept = loadStored(frame, value)) {
     frame.values.map(value, kept);
   } else {
-    // A worklist instead of recursion, because chains of operands can be long.
+    // The search uses a worklist instead of recursion, because chains of
+    // operands can be long.
     SmallVector<Operation *> pending = {value.getDefiningOp()};
     while (!pending.empty()) {
       Operation *op = pending.back();
@@ -174,7 +175,7 @@ void Rematerializer::recomputeOwners(Frame &frame, memref::AllocOp alloc) {
   for (Value value : captured)
     mapping.map(value, get(value));
   // The operands of the setters (the ops that write the buffer) can be computed
-  // between them: insert at the last setter.
+  // between them, so new ops are inserted at the last setter.
   Operation *last = setters.empty() ? alloc : setters.back();
   setInsertionPointFor(frame, last);
   Operation *copy = b.clone(*alloc, mapping);
@@ -194,8 +195,7 @@ void Rematerializer::recompute(Frame &frame, Operation *op) {
   if (auto alloc = dyn_cast<memref::AllocOp>(op); alloc && holdsOwners(alloc))
     return recomputeOwners(frame, alloc);
   if (isOwnRead(op)) {
-    // Emission of the adjoint will be repeated, with a recorded value for this
-    // read.
+    // The adjoint will be emitted again, with a recorded value for this read.
     demands.reads.insert(op);
     frame.values.map(op->getResults(), op->getResults());
     refused.insert(op);

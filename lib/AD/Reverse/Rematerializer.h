@@ -33,7 +33,7 @@ public:
       : b(builder), plan(plan), demands(demands), reexecution(reexecution),
         stored(stored) {}
 
-  /// The primal value `value`, recomputed in the frame of its block.
+  /// Returns the primal value `value`, recomputed in the frame of its block.
   Value get(Value value);
   /// Copies a primal block into `mirror` as far as its terminator needs it: the
   /// ops that compute the terminator's operands, and the terminator.

@@ -15,9 +15,9 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Nanoseconds of work that a load must save: a function of the math library,
-/// or a long sum. A smaller saving is negligible on a CPU, and less than the
-/// cost of the memory traffic on a GPU.
+/// The nanoseconds of work that a load must save: a function of the math
+/// library, or a long sum. A smaller saving is negligible on a CPU, and less
+/// than the cost of the memory traffic on a GPU.
 constexpr double kWorthLoading = 8;
 
 //===----------------------------------------------------------------------===//
@@ -49,7 +49,8 @@ static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
       *getFieldLayout(lookupField(store, store.getFieldAttr()));
   if (layout.path.getFirstSparse())
     return false;
-  // A tape does not track writes to gradients.
+  // Stores to gradients are not reused, because a tape does not track writes to
+  // them.
   for (FieldOp other : store->getParentOfType<ModuleOp>().getOps<FieldOp>())
     if (other.getAdjointAttr() == store.getFieldAttr())
       return false;

@@ -21,7 +21,8 @@
 
 namespace mlir::tai {
 
-/// The values of a kernel that fields hold when the kernel has finished.
+/// Finds the values of a kernel that fields hold when the kernel has finished,
+/// so that its adjoint can load them.
 class StoredOutputs {
 public:
   /// The location of a value: the element that `store` writes, or its component

@@ -19,8 +19,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The indices, in the memref `shadow`, of the component with row-major number
-/// `component`.
+/// Emits the indices, in the memref `shadow`, of the component with row-major
+/// number `component`.
 static SmallVector<Value> createIndices(AdjointBuilder &b, Value shadow,
                                         int64_t component) {
   ArrayRef<int64_t> shape = cast<MemRefType>(shadow.getType()).getShape();

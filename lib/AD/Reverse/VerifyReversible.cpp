@@ -55,7 +55,7 @@ static bool isQuery(Operation *op) {
   return isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(op);
 }
 
-/// Checks that arrays with a derivative are only accessed by elements.
+/// Checks that arrays with a derivative are accessed by single elements only.
 void Verifier::checkArrays() {
   DenseSet<Operation *> refused;
   for (BlockArgument argument : primal.getArguments()) {

@@ -23,14 +23,15 @@ using namespace mlir::tai;
 
 namespace {
 
-/// The vector w with [w]ₓ = P - Pᵀ.
+/// Returns the vector w with [w]ₓ = P - Pᵀ, where [w]ₓ is the matrix of the
+/// cross product with w.
 SmallVector<S> getAxial(M p) {
   return {p(2, 1) - p(1, 2), p(0, 2) - p(2, 0), p(1, 0) - p(0, 1)};
 }
 
-/// A = R S. As S = Rᵀ A, the adjoint of S contributes to the adjoints of R and
-/// A. The differential of R is R [w]ₓ, where w is the solution of
-/// (tr(S) I - S) w = axial(Rᵀ dA - dAᵀ R).
+/// The derivative of the polar decomposition A = R S. As S = Rᵀ A, the adjoint
+/// of S contributes to the adjoints of R and A. The differential of R is R
+/// [w]ₓ, where w is the solution of (tr(S) I - S) w = axial(Rᵀ dA - dAᵀ R).
 struct PolarModel
     : DifferentiableOpInterface::ExternalModel<PolarModel, PolarOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
@@ -117,8 +118,8 @@ struct PolarModel
     b.addAdjoint(op.getMatrix(), createMatmul(b, r, createSkew(b, w)));
   }
 
-  /// The solution w of (tr(S) I - S) w = axial(P - Pᵀ). The system is singular
-  /// where the sum of two singular values is zero.
+  /// Emits the solution w of (tr(S) I - S) w = axial(P - Pᵀ). The system is
+  /// singular where the sum of two singular values is zero.
   static Value createAxis(DerivativeBuilder &b, Value stretchMatrix, M p) {
     auto type = cast<VectorType>(stretchMatrix.getType());
     Type element = type.getElementType();
@@ -185,7 +186,7 @@ struct PolarModel
   }
 };
 
-/// The product Uᵀ G; zeros if `g` is null.
+/// Emits the product Uᵀ G; zeros if `g` is null.
 M getTurned(DerivativeBuilder &b, Value u, Value g) {
   if (!g)
     return {&b, b.createZero(u.getType())};
@@ -244,7 +245,7 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
     return success();
   }
 
-  /// The singular values alone: dσᵢ = Pᵢᵢ.
+  /// Adds the adjoint for the singular values alone: dσᵢ = Pᵢᵢ.
   static void buildByValues(SvdOp svd, AdjointBuilder &b, Value u, Value v) {
     M gs{&b, b.getAdjoint(svd.getSigma())};
     int64_t n = getRows(gs.v);
@@ -271,8 +272,8 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
   }
 };
 
-/// A = Q Λ Qᵀ with A read below the diagonal: dQ = Q Ω, Ωᵢⱼ = Pᵢⱼ / (λⱼ - λᵢ),
-/// where P = Qᵀ dA Q.
+/// The derivative of the eigendecomposition A = Q Λ Qᵀ with A read below the
+/// diagonal: dQ = Q Ω, Ωᵢⱼ = Pᵢⱼ / (λⱼ - λᵢ), where P = Qᵀ dA Q.
 struct SymEigModel
     : DifferentiableOpInterface::ExternalModel<SymEigModel, SymEigOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {

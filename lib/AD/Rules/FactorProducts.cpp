@@ -34,7 +34,7 @@ static void flatten(Value value, SmallVectorImpl<Value> &factors) {
   flatten(product.getRhs(), factors);
 }
 
-/// The decomposition whose factor U or V is `value`, or null.
+/// Returns the decomposition op of which `value` is the factor U or V, or null.
 static SvdOp getDecomposition(Value value) {
   auto svd = value.getDefiningOp<SvdOp>();
   return svd && value != svd.getSigma() ? svd : SvdOp();
@@ -48,7 +48,7 @@ struct FactorFrame {
   size_t first, last;
 };
 
-/// A matrix and its tangent, null for zero.
+/// A matrix and its tangent, which is null for zero.
 struct FactorPair {
   Value value, tangent;
 };
@@ -87,7 +87,7 @@ static FactorPair multiply(TangentBuilder &b, ArrayRef<Value> factors) {
   return product;
 }
 
-/// E M - M E. Terms that cancel for a diagonal M are subtracted first.
+/// Emits E M - M E. Terms that cancel for a diagonal M are subtracted first.
 static Value createCommutator(TangentBuilder &b, Value turn, Value matrix) {
   M e{&b, turn}, m{&b, matrix};
   int64_t n = getRows(turn);
@@ -129,7 +129,8 @@ static Value createCommutator(TangentBuilder &b, Value turn,
   return sum;
 }
 
-/// F M Hᵀ and its tangent, where F and H are factors of one decomposition.
+/// Emits F M Hᵀ and its tangent, where F and H are factors of one
+/// decomposition.
 static FactorPair createCore(TangentBuilder &b, FactorFrame frame,
                              ArrayRef<Value> factors) {
   Value left = factors.front(), right = factors.back();
@@ -144,7 +145,7 @@ static FactorPair createCore(TangentBuilder &b, FactorFrame frame,
   FactorPair middle = multiply(b, between);
   Value inner;
   if (!middle.value) {
-    // Uᵀ U and Vᵀ V are constant.
+    // Uᵀ U and Vᵀ V are constant, so their tangents vanish.
     if (leftIsU != rightIsU)
       inner = arith::SubFOp::create(b, turnOf(leftIsU), turnOf(rightIsU));
   } else {

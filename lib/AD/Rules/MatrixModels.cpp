@@ -304,8 +304,8 @@ struct TraceModel : MatrixModel<TraceModel, TraceOp> {
   }
 };
 
-/// The determinant of the submatrix with these rows and columns, by cofactors
-/// of its first row.
+/// Emits the determinant of the submatrix with these rows and columns, by
+/// cofactors of its first row.
 Value createMinor(DerivativeBuilder &b, Value matrix, ArrayRef<int64_t> rows,
                   ArrayRef<int64_t> columns) {
   int64_t n = getRows(matrix);

@@ -250,8 +250,8 @@ struct WhileModel
                             [&](Value result) { return b.getAdjoint(result); });
     LoopHistory history(b, primal);
 
-    // Reverse the last evaluation of the condition: the operands of its
-    // terminator are the results of the loop.
+    // The last evaluation of the condition is reversed here: the operands of
+    // its terminator are the results of the loop.
     SmallVector<Value> inits;
     Captured captured;
     auto beginLast = [&](Frame &frame) {
@@ -270,8 +270,8 @@ struct WhileModel
     for (auto &[value, adjoint] : captured)
       b.addAdjoint(value, adjoint);
 
-    // Iterations from the last to the first: the body, then the condition that
-    // let it run.
+    // The iterations are reversed from the last to the first: the body, and
+    // then the condition that let the iteration run.
     scf::ForOp draft = history.createReverse(inits);
     SmallVector<Value> yields;
     LogicalResult result = success();

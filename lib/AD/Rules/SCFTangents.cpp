@@ -18,7 +18,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The positions of the values that may have a tangent.
+/// Returns the positions of the values that may have a tangent.
 static SmallVector<unsigned> getVaried(TangentBuilder &b, ValueRange values) {
   SmallVector<unsigned> positions;
   for (auto [i, value] : llvm::enumerate(values))
@@ -27,7 +27,7 @@ static SmallVector<unsigned> getVaried(TangentBuilder &b, ValueRange values) {
   return positions;
 }
 
-/// `values`, followed by the tangents of those at `positions`.
+/// Returns `values`, followed by the tangents of the values at `positions`.
 static SmallVector<Value> addTangents(TangentBuilder &b, ValueRange values,
                                       ArrayRef<unsigned> positions) {
   SmallVector<Value> all(values);
@@ -159,8 +159,8 @@ LogicalResult mlir::tai::extendParallel(scf::ParallelOp op, TangentBuilder &b) {
           << "carry the value through an 'scf.for'";
       return failure();
     }
-  // For each sum that scf.reduce computes, add a reduction that sums the
-  // tangents.
+  // For each sum that scf.reduce computes, a reduction that sums the tangents
+  // is added.
   {
     OpBuilder::InsertionGuard guard(b);
     b.setInsertionPoint(reduce);

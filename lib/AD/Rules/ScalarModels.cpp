@@ -58,7 +58,8 @@ static void applyRule(Operation *op, AdjointBuilder &adjoint) {
       continue;
     RuleArgs args(adjoint, op, seed);
     Value contribution = build(partial, args, shared);
-    // Where the partial is zero, an undefined (NaN) adjoint contributes zero.
+    // Where the partial derivative is zero, an undefined (NaN) adjoint
+    // contributes zero.
     if (adjoint.isSeedUndefined()) {
       RuleArgs unit(adjoint, op, adjoint.createConstant(seed.getType(), 1));
       Value slope = build(partial, unit, shared);

@@ -81,9 +81,9 @@ static Num copysign(Num a, Num b) { return make<math::CopySignOp>(a, b); }
 /// Returns g with the sign of x: g for x > 0, -g for x < 0, and 0 at x = 0.
 static Num bySign(Num x, Num g) { return select(x > 0, g, where(x < 0, -g)); }
 
-/// The contribution to the first operand of max or min, which is chosen where
-/// `wins` holds. In a tie the contribution goes to the second operand, or half
-/// to each operand if the convention splits ties.
+/// Returns the contribution to the first operand of max or min, which is chosen
+/// where `wins` holds. In a tie the contribution goes to the second operand, or
+/// half to each operand if the convention splits ties.
 static Num toFirst(RuleArgs &a, Truth wins) {
   if (!a.getConventions().splitTies)
     return where(wins, a.g());
@@ -95,7 +95,7 @@ static Num toSecond(RuleArgs &a, Truth wins) {
   return unless(wins, select(a.x() == a.y(), 0.5 * a.g(), a.g()));
 }
 
-/// sqrt(1 - x^2), the reciprocal of the slope of asin.
+/// Emits sqrt(1 - x^2), the reciprocal of the slope of asin.
 static Num arcSlope(RuleArgs &a) {
   Num x = a.x();
   if (!a.getConventions().clampArcs)
@@ -112,15 +112,15 @@ static Num arcSlope(RuleArgs &a) {
   return sqrt(select(square < constant(x, least), constant(x, least), square));
 }
 
-/// The square root of `square`, which is x^2 + 1 or x^2 - 1. For large x the
-/// result is |x|, which is correct to the last bit, also where the square
+/// Returns the square root of `square`, which is x^2 + 1 or x^2 - 1. For large
+/// x the result is |x|, which is correct to the last bit, also where the square
 /// overflows.
 static Num rootBeside(Num x, Num square) {
   Num size = make<math::AbsFOp>(x);
   return select(size > 0x1p+30, size, sqrt(square));
 }
 
-/// n x^(n - 1) for an integer n; 0 where n = 0.
+/// Returns n x^(n - 1) for an integer n; 0 where n = 0.
 static Num powerByInteger(RuleArgs &a) {
   DerivativeBuilder &b = *a.g().builder;
   Value n = a.truth(1).value;
@@ -149,9 +149,10 @@ static Num powerByX(RuleArgs &a) {
              : unless(a.y() == 0, contribution);
 }
 
-/// The contribution to an operand of atan2(y, x): g n / (x^2 + y^2) with n = y
-/// or -x; 0 where x and y are both 0 or one of them is infinite. x and y are
-/// scaled by a power of two where their squares would overflow or underflow.
+/// Returns the contribution to an operand of atan2(y, x): g n / (x^2 + y^2)
+/// with n = y or -x; 0 where x and y are both 0 or one of them is infinite. x
+/// and y are scaled by a power of two where their squares would overflow or
+/// underflow.
 static Num atan2By(RuleArgs &a, bool byX) {
   Num x = a.x(), y = a.y();
   bool isDouble = getElementTypeOrSelf(x.value.getType()).isF64();

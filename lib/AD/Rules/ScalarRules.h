@@ -26,7 +26,7 @@ struct Num {
   Value value;
 };
 
-/// A truth value, or a vector of them.
+/// A truth value in a formula, or a vector of truth values.
 struct Truth {
   DerivativeBuilder *builder;
   Value value;
@@ -79,7 +79,7 @@ inline Num select(Truth condition, Num a, Num b) {
   return {a.builder, arith::SelectOp::create(*a.builder, condition.value,
                                              a.value, b.value)};
 }
-/// a where the condition holds, zero elsewhere.
+/// Emits `a` where the condition holds, and zero elsewhere.
 inline Num where(Truth condition, Num a) {
   return select(condition, a, constant(a, 0));
 }
@@ -91,20 +91,20 @@ inline Num unless(Truth condition, Num a) {
 /// recomputed in the adjoint only if the formula uses it.
 class RuleArgs {
 public:
-  /// Whether a formula is used for an adjoint or a tangent. Backward: `seed` is
-  /// the adjoint of the result, and the formula yields the contribution to the
-  /// adjoint of an operand. A formula is linear in the seed and component-wise,
-  /// so that it is its own transpose. Forward: `seed` is the tangent of the
-  /// operand, and the formula yields the contribution to the tangent of the
-  /// result.
+  /// Tells whether a formula is used for an adjoint or a tangent. Backward:
+  /// `seed` is the adjoint of the result, and the formula yields the
+  /// contribution to the adjoint of an operand. A formula is linear in the seed
+  /// and component-wise, so that it is its own transpose. Forward: `seed` is
+  /// the tangent of the operand, and the formula yields the contribution to the
+  /// tangent of the result.
   enum class Mode { Backward, Forward };
 
   RuleArgs(DerivativeBuilder &builder, Operation *op, Value seed,
            Mode mode = Mode::Backward)
       : builder(builder), op(op), seed(seed), mode(mode) {}
 
-  /// The seed of the formula: the adjoint of the result, or in forward mode the
-  /// tangent of the operand.
+  /// The seed of the formula, by which it is multiplied: the adjoint of the
+  /// result, or in forward mode the tangent of the operand.
   Num g() { return {&builder, seed}; }
   /// The operands.
   Num x() { return use(getOperand(0)); }
@@ -112,7 +112,7 @@ public:
   Num z() { return use(getOperand(2)); }
   /// The result.
   Num r() { return use(op->getResult(0)); }
-  /// Operand number `i`, which is a condition or an integer.
+  /// Returns operand number `i` of the op, which is a condition or an integer.
   Truth truth(unsigned i) {
     return {&builder, builder.getPrimal(op->getOperand(i))};
   }
@@ -122,8 +122,8 @@ public:
   void setOperands(ArrayRef<Value> values) {
     replaced.assign(values.begin(), values.end());
   }
-  /// Operand number `i`, or the value set by setOperands in its place; null
-  /// stands for the constant 1.
+  /// Returns operand number `i` of the op, or the value set by setOperands in
+  /// its place; null stands for the constant 1.
   Value getOperand(unsigned i) {
     return i < replaced.size() ? replaced[i] : op->getOperand(i);
   }
@@ -155,7 +155,7 @@ private:
   bool usedNonFinite = false;
 };
 
-/// The partial derivative with respect to one operand.
+/// The partial derivative of an op with respect to one operand.
 struct Partial {
   /// Position of the operand.
   unsigned operand;
@@ -174,7 +174,8 @@ struct Partial {
 struct ScalarRule {
   const char *op;
   SmallVector<Partial, 3> partials;
-  /// The values at kinks and singular points as text, for documentation.
+  /// The values of the derivative at kinks and singular points as text, for
+  /// documentation.
   const char *kinks = "";
 };
 

@@ -14,8 +14,9 @@ using namespace mlir::tai;
 
 using Ways = SmallVector<std::pair<Value, Value>, 3>;
 
-/// All ways to write `value` as a factor times a cofactor; a null cofactor
-/// stands for 1. A product is taken apart if it is in the block of `user`.
+/// Lists all ways to write `value` as a factor times a cofactor; a null
+/// cofactor stands for 1. A product is taken apart if it is in the block of
+/// `user`.
 static Ways split(Value value, Operation *user) {
   Ways ways = {{value, Value()}};
   if (auto product = value.getDefiningOp<arith::MulFOp>();
@@ -61,7 +62,7 @@ bool mlir::tai::extendSharedSum(Operation *op, TangentBuilder &b) {
       hasTangent(rest[1]))
     return false;
   bool isSum = !isa<arith::SubFOp>(op);
-  // s - s is zero, and so is its derivative.
+  // The difference s - s is zero, and so is its derivative.
   if (!rest[0] && !rest[1] && !isSum)
     return true;
   bool mayBeNonFinite = false;

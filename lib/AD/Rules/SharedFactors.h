@@ -30,8 +30,8 @@ struct SharedFactor {
   Value rest[2];
 };
 
-/// The common factor of an op that depends on the quotient of its two operands
-/// alone.
+/// Finds the common factor of both operands of an op whose result depends on
+/// the quotient of its operands alone.
 std::optional<SharedFactor> findFactorOfRatio(Operation *op);
 
 /// Sets the tangent of a sum or difference with a common factor whose tangent

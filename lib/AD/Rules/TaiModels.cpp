@@ -180,7 +180,8 @@ struct ParallelForModel
       for (auto [i, iv] : llvm::enumerate(primal.getInductionVars())) {
         Value position = mirror->getArgument(i);
         if (primal.getSerialize()) {
-          // An iteration may depend on earlier ones: run them backwards.
+          // An iteration may depend on earlier ones, so the iterations run
+          // backwards.
           Value last = arith::SubIOp::create(
               b, arith::AddIOp::create(b, lower[i], upper[i]),
               arith::ConstantIndexOp::create(b, 1));

@@ -179,7 +179,8 @@ struct ShapeCastModel : LinearModel<ShapeCastModel, vector::ShapeCastOp> {
 struct ShuffleModel : LinearModel<ShuffleModel, vector::ShuffleOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto shuffle = cast<vector::ShuffleOp>(op);
-    // The mask selects along the leading dimension; each entry moves a slice.
+    // The mask of a shuffle selects along the leading dimension; each entry
+    // moves a slice.
     VectorType first = shuffle.getV1VectorType();
     int64_t extent = first.getRank() ? first.getDimSize(0) : 1;
     int64_t slice = first.getNumElements() / extent;
@@ -366,8 +367,8 @@ struct ReductionModel
   }
 
 private:
-  /// Whether a factor of the product may be infinite, so that a zero seed times
-  /// it would be NaN.
+  /// True if a factor of the product may be infinite, so that a zero seed times
+  /// this factor would be NaN.
   static bool mayBeNonFinite(vector::ReductionOp op, DerivativeBuilder &b) {
     Value acc = op.getAcc();
     return b.getFacts().mayBeNonFinite(op.getVector()) ||

@@ -15,12 +15,12 @@ using namespace mlir;
 using namespace mlir::tai;
 using Kind = IndexNode::Kind;
 
-/// Limit of the depth to which a value is decomposed. Longer chains of
+/// The largest depth to which a value is decomposed. Longer chains of
 /// operations are unrolled sums, whose expressions have too many terms to be
 /// useful.
 static constexpr unsigned kMostDepth = 16;
-/// Limit of the occurrences of values in an expression: in nested products,
-/// their number would grow exponentially.
+/// The most occurrences of values in an expression: in nested products, their
+/// number would grow exponentially.
 static constexpr unsigned kMostSize = 64;
 
 static unsigned getWidth(Type type) {
@@ -344,8 +344,9 @@ std::optional<IndexExpr> IndexBuilder::buildDivision(Operation *op,
                 std::move(a), std::move(b)});
 }
 
-/// `expr` with the bits of `mask` flipped. Each run of ones in the mask selects
-/// a digit of the number; flipping subtracts the digit from the largest digit.
+/// Returns `expr` with the bits of `mask` flipped. Each run of ones in the mask
+/// selects a digit of the number; flipping subtracts the digit from the largest
+/// digit.
 static IndexExpr flipBits(IndexBuilder &builder, const IndexExpr &expr,
                           uint64_t mask) {
   if (mask == 0)
@@ -363,8 +364,9 @@ static IndexExpr flipBits(IndexBuilder &builder, const IndexExpr &expr,
       .add(above, int64_t(1) << (start + length));
 }
 
-/// Shifts by constants, masks of low or high bits by constants, unions of bits
-/// that do not overlap, and flips of bits by constants.
+/// Decomposes bit operations: shifts by constants, masks of low or high bits by
+/// constants, unions of bits that do not overlap, and flips of bits by
+/// constants.
 std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
                                                  unsigned depth) {
   if (!isa<arith::ShLIOp, arith::ShRSIOp, arith::ShRUIOp, arith::AndIOp,
@@ -397,7 +399,7 @@ std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
     return *number < 0 ? all.add(low, -1) : low;
   }
   if (isa<arith::XOrIOp>(op)) {
-    // For a negative mask m, use x ^ m = ~(x ^ ~m).
+    // For a negative mask m, the identity x ^ m = ~(x ^ ~m) is used.
     int64_t mask = *number < 0 ? ~*number : *number;
     if (mask >= int64_t(1) << 62)
       return std::nullopt;

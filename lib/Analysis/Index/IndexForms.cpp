@@ -4,9 +4,11 @@
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
+//
 // Linear forms of index values rest on assumptions, such as a limit of launch
 // values (kLargest). A launch is refused only because of iterations in which
 // these assumptions hold.
+//
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/Index/IndexForms.h"
@@ -21,8 +23,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// No storage is larger than this number. A launch's 64-bit arguments are
-/// assumed to be smaller as well, so that sums of them do not overflow.
+/// A size that no storage exceeds. A launch's 64-bit arguments are assumed to
+/// be smaller as well, so that sums of them do not overflow.
 static constexpr int64_t kLargest = int64_t(1) << 47;
 /// Launch values that are factors of a product are assumed to be no larger than
 /// this number, so that products do not overflow.
@@ -32,8 +34,8 @@ static constexpr int64_t kLargestFactor = int64_t(1) << 31;
 // Ranges
 //===----------------------------------------------------------------------===//
 
-/// The range of all values of `type`. An index has 64 bits; an i1 is 0 or 1,
-/// not -1.
+/// Returns the range of all values of `type`. An index has 64 bits; an i1 is 0
+/// or 1, not -1.
 static NumberRange rangeOfType(Type type) {
   unsigned width = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
   if (width >= 64)
@@ -62,8 +64,8 @@ static NumberRange scaleRange(NumberRange a, int64_t factor) {
   return product;
 }
 
-/// The range of the quotient a / d, rounded down. For rounding towards zero,
-/// only where both quotients are equal.
+/// Returns the range of the quotient a / d, rounded down. For rounding towards
+/// zero, only where both quotients are equal.
 static NumberRange divideRange(NumberRange a, int64_t d) {
   return {a.low == INT64_MIN ? INT64_MIN : llvm::divideFloorSigned(a.low, d),
           a.high == INT64_MAX ? INT64_MAX : llvm::divideFloorSigned(a.high, d)};
@@ -106,8 +108,8 @@ NumberRange IndexForms::rangeOf(Value value) {
 // Launch values
 //===----------------------------------------------------------------------===//
 
-/// The array and the dimension whose extent `value` is, if the array is a block
-/// argument.
+/// Returns the array and the dimension whose extent `value` is, if the array is
+/// a block argument.
 static std::optional<std::pair<Value, int64_t>> getArrayExtent(Value value) {
   auto dim = value.getDefiningOp<memref::DimOp>();
   if (!dim || !isa<BlockArgument>(dim.getSource()))
@@ -127,12 +129,13 @@ bool IndexForms::isLaunchValue(Value value) {
   } else if (Operation *op = value.getDefiningOp();
              value.getType().isIntOrIndexOrFloat() &&
              op->getNumRegions() == 0 && isPure(op)) {
-    // An op that may fault cannot be computed at the launch, since the program
-    // might not execute it.
+    // A launch value must not be computed by an op that may fault, since the
+    // program might not execute the op.
     is = llvm::all_of(op->getOperands(),
                       [&](Value operand) { return isLaunchValue(operand); });
   }
-  // Remember the answer for each value, because expressions share operands.
+  // The answer is remembered for each value, because expressions share
+  // operands.
   return launchValues[value] = is;
 }
 
@@ -201,7 +204,7 @@ LinearSystem IndexForms::dropAssumptions(const LinearSystem &system,
   }
   // If a launch value is larger than assumed, a multiple of it may wrap around
   // to an index in range, and a sum other than the index itself may wrap to the
-  // other sign: keep the assumptions in these cases.
+  // other sign, so the assumptions are kept in these cases.
   for (auto term : index.terms)
     if (getLaunchValue(term.first) && !isUnit(term))
       return system;
@@ -232,9 +235,9 @@ void IndexForms::assumeFits(LinearForm &form, Type type) const {
   form.isComplete = false;
 }
 
-/// The index of a loop. With a step it is the first index plus a multiple of
-/// the step, unless the loop compares without a sign: then it may pass from the
-/// greatest signed number to the least.
+/// Makes the form of a loop index. With a step it is the first index plus a
+/// multiple of the step, unless the loop compares without a sign: then it may
+/// pass from the greatest signed number to the least.
 LinearForm IndexForms::makeLoopForm(BlockArgument argument) {
   auto loop = dyn_cast<scf::ForOp>(argument.getOwner()->getParentOp());
   std::optional<int64_t> step =
@@ -289,8 +292,8 @@ std::optional<LinearForm> IndexForms::makeQuotient(Operation *op) {
   if (d <= 0 || (!isFloor && rangeOf(op->getOperand(0)).low < 0))
     return std::nullopt;
   LinearForm dividend = formOf(op->getOperand(0));
-  // Not for a dividend that contains a product, because the program may intend
-  // that to wrap, as in a hash.
+  // A dividend that contains a product has no linear form, because the program
+  // may intend the product to wrap, as in a hash.
   if (hasProduct(dividend.sum))
     return std::nullopt;
   LinearForm quotient =

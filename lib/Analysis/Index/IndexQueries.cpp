@@ -77,7 +77,8 @@ static constexpr size_t kMostUnknowns = 2;
 bool mlir::tai::areDistinct(const IndexExpr &lhs, const IndexExpr &rhs) {
   IndexExpr difference = lhs;
   difference.add(rhs, -1);
-  // Many pairs are compared, and few have ranges that tell them apart.
+  // Differences with more unknowns are skipped: many pairs are compared, and
+  // few have ranges that tell them apart.
   if (difference.terms.size() > kMostUnknowns)
     return false;
   IndexBuilder builder;
@@ -165,8 +166,8 @@ void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
   const IndexAtom &b = second.terms.front().first;
   unsigned width = std::min(first.width, second.width);
   if (width != 64 || std::abs(factor) != 1) {
-    // Give up if the unknowns can differ although the low bits of the two sides
-    // are equal.
+    // The equation is given up if the unknowns can differ although the low bits
+    // of the two sides are equal.
     IndexRange lhs = builder.getRange(a), rhs = builder.getRange(b);
     __int128 most = std::max(lhs.high - rhs.low, rhs.high - lhs.low);
     auto iv = dyn_cast_if_present<BlockArgument>(a.getValue());
@@ -184,8 +185,8 @@ void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
     add(a.getValue(), b.getValue());
 }
 
-/// The least value of the sum of those terms of `expr` that are no multiples of
-/// `base`.
+/// Returns the least value of the sum of those terms of `expr` that are no
+/// multiples of `base`.
 static __int128 getLeastBelow(IndexBuilder &builder, const IndexExpr &expr,
                               int64_t base) {
   IndexExpr below;

@@ -21,14 +21,14 @@ using namespace mlir::tai;
 /// pieces: for longer loops the pass would take more than a millisecond.
 static constexpr int64_t kMaxEvaluations = 1 << 16;
 
-/// Limit of the bounds of loops: no loop over a field has larger bounds.
+/// The largest bound of a loop: no loop over a field has larger bounds.
 static constexpr int64_t kFarthest = int64_t(1) << 48;
 
-/// Limit of the linear pieces of an index: even a stencil with its borders has
+/// The most linear pieces of an index: even a stencil with its borders has
 /// fewer.
 static constexpr unsigned kMaxPieces = 32;
 
-/// The number of bits of the integers of `type`; 64 for index.
+/// Returns the number of bits of the integers of `type`; 64 for index.
 static unsigned getWidth(Type type) {
   return type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
 }
@@ -37,7 +37,7 @@ static bool isWord(Type type) {
   return type.isIntOrIndex() && getWidth(type) <= 64;
 }
 
-/// True for the operations that `evaluateOp` evaluates.
+/// True for the integer operations that `evaluateOp` evaluates.
 static bool isIntegerArithmetic(Operation *op) {
   return isa<arith::ArithDialect>(op->getDialect()) &&
          isa<InferIntRangeInterface>(op) &&
@@ -68,7 +68,8 @@ bool tai::collectIndexVariables(Value index, Region &scope,
   return true;
 }
 
-/// The result of an operation on constants: the range that upstream infers.
+/// Returns the result of an operation on constants: the range that upstream
+/// infers.
 static std::optional<int64_t> inferResult(Operation *op,
                                           ArrayRef<int64_t> operands) {
   SmallVector<ConstantIntRanges> ranges;
@@ -83,8 +84,8 @@ static std::optional<int64_t> inferResult(Operation *op,
   return result ? std::optional(result->getSExtValue()) : std::nullopt;
 }
 
-/// Like inferResult, but faster, for the operations that occur in most indices;
-/// none for other operations.
+/// Evaluates an op like inferResult, but faster, for the operations that occur
+/// in most indices; none for other operations.
 static std::optional<int64_t> evaluateOp(Operation *op,
                                          ArrayRef<int64_t> operands) {
   Type type = op->getResult(0).getType();
@@ -177,8 +178,8 @@ private:
 void LineEvaluator::keepWithin(Wide slope, Wide offset, Wide low, Wide high) {
   if (slope == 0)
     return;
-  // `here` is in [low, high], so dividend and divisor of these quotients have
-  // the same sign.
+  // The value `here` is in [low, high], so dividend and divisor of these
+  // quotients have the same sign.
   Wide here = slope * first + offset;
   Wide steps = slope > 0 ? (high - here) / slope : (here - low) / -slope;
   if (steps < Wide(end) - first - 1)

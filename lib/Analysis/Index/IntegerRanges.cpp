@@ -20,8 +20,8 @@ static ConstantIntRanges getWhole(Value value) {
       ConstantIntRanges::getStorageBitwidth(value.getType()));
 }
 
-/// The range from the smallest value of `low` to the largest value of `up`
-/// minus one; `low` if this is empty, since there is then no index.
+/// Returns the range from the smallest value of `low` to the largest value of
+/// `up` minus one; `low` if this is empty, since there is then no index.
 static ConstantIntRanges getBetween(const ConstantIntRanges &low,
                                     const ConstantIntRanges &up,
                                     bool isUnsigned) {

@@ -88,7 +88,7 @@ bool tai::hasCommonTotals(ParallelForOp loop) {
       .wasInterrupted();
 }
 
-/// The number of the buffer that an update adds to, or none.
+/// Returns the number of the buffer to which an update adds, or none.
 static std::optional<int64_t> getBuffer(AtomicOp atomic) {
   ReductionAttr reduction = atomic.getReductionAttr();
   return reduction ? reduction.getBuffer() : std::nullopt;
@@ -152,7 +152,7 @@ bool tai::updatesSameComponent(AtomicOp a, AtomicOp b) {
 
 bool tai::isInjective(ParallelForOp loop, ValueRange indices) {
   // Along a dimension with a single iteration, there are no iterations to
-  // distinguish.
+  // distinguish, so its index is left out.
   SmallVector<Value> ivs;
   for (auto [i, iv] : llvm::enumerate(loop.getInductionVars())) {
     std::optional<int64_t> lower, upper;

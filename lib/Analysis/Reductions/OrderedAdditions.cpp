@@ -76,14 +76,14 @@ Operation *tai::findDivergence(ParallelForOp loop, OpPredicate isAddition) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The accesses of a loop to one field or array, by kind.
+/// The accesses of a loop to one field or array, sorted by kind.
 struct PlaceAccesses {
   struct Access {
     Operation *op;
     SmallVector<Value> indices;
     bool isSparse;
   };
-  /// updates: atomic updates whose result is unused. writes: plain writes.
+  /// updates: atomic updates whose result is unused. writes: plain stores.
   SmallVector<Access> updates, writes, reads;
 };
 
@@ -107,8 +107,8 @@ private:
   ParallelForOp loop;
   FieldTable &fields;
   const ReductionPlan &plan;
-  /// True for canAddInAnyOrder: iterations may then also allocate memory and
-  /// add 16-bit floats.
+  /// True for the analysis of canAddInAnyOrder: iterations may then also
+  /// allocate memory and add 16-bit floats.
   bool inAnyOrder = false;
   llvm::MapVector<const void *, PlaceAccesses> places;
   llvm::DenseSet<Operation *> additions;
@@ -189,8 +189,8 @@ bool Checker::visitArray(Operation *op) {
   return add(place.updates, atomic.getIndices());
 }
 
-/// Returns false for operations that are unknown or may affect other
-/// iterations.
+/// Checks an operation of the loop. Returns false for operations that are
+/// unknown or may affect other iterations.
 bool Checker::visit(Operation *op) {
   if (auto access = dyn_cast<FieldAccessOpInterface>(op);
       access && access.isElementAccess())
@@ -233,7 +233,8 @@ bool Checker::isFree(const PlaceAccesses &place) {
   auto meets = [&](const Access &a, const Access &b) {
     return mayReach(a.indices, b.indices);
   };
-  // If both accesses can meet, each iteration must access elements of its own.
+  // If both accesses can reach the same element, each iteration must access
+  // only its own elements.
   auto isOwn = [&](const Access &write, const Access &other) {
     return !meets(write, other) ||
            (areProvablyEqual(write.indices, other.indices) &&
@@ -299,8 +300,8 @@ bool Checker::readsComeFirst(const PlaceAccesses &place) {
         return false;
       before = common->findAncestorOpInBlock(*before);
       after = common->findAncestorOpInBlock(*after);
-      // Accesses in different arms of a branch count as if either could come
-      // first.
+      // Accesses in different branches of an `if` count as if each could come
+      // before the other.
       return before != after && before->isBeforeInBlock(after);
     });
   });
@@ -311,8 +312,9 @@ bool Checker::runInAnyOrder(SmallVectorImpl<AtomicOp> &found) {
   if (!areFree())
     return false;
   WalkResult result = loop.getBody().walk([&](Operation *op) {
-    // Three passes over the iterations would write a variable that outlives the
-    // iteration several times.
+    // Sums in fixed point run the iterations three times. A local variable that
+    // outlives the iteration would then be written three times, so stores to
+    // such variables are refused.
     Value local;
     if (auto store = dyn_cast<LocalStoreOp>(op))
       local = store.getLocal();

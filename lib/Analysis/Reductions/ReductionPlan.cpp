@@ -58,8 +58,8 @@ constexpr size_t kMaxRegisters = 8;
 /// not reduce its sums over blocks.
 constexpr int64_t kMaxWarpSums = 1024;
 
-/// Larger private buffers are not used: they would fill the memory of a machine
-/// with many cores.
+/// The most elements in a private buffer: larger buffers would fill the memory
+/// of a machine with many cores.
 constexpr int64_t kMaxPrivateElements = int64_t(1) << 24;
 
 /// Measured costs on a GPU in deterministic mode: of an iteration, if one warp
@@ -70,12 +70,12 @@ constexpr double kWarpNanoseconds = 80, kPassesNanoseconds = 10000;
 constexpr double kNanosecondsPerByte = 1e-3;
 constexpr double kMaxAccumulatorBytes = int64_t(1) << 29;
 
-/// Sums in local arrays up to this size, that of a matrix, are kept in
-/// registers.
+/// The most elements of a local array whose sums are kept in registers: the
+/// size of a matrix.
 constexpr int64_t kMaxLocalSums = 16;
 
 namespace {
-/// The accesses of a loop to one field, by kind.
+/// The accesses of a loop to one field, sorted by kind.
 struct FieldAccesses {
   SmallVector<AtomicOp> atomics; // those that are not exclusive yet
   SmallVector<Operation *> others;
@@ -97,14 +97,14 @@ public:
 
 private:
   bool isDeterministic() const { return plan.order.has_value(); }
-  /// Whether the terms of sums must be added in an order that is the same on
+  /// True if the terms of sums must be added in an order that is the same on
   /// all targets.
   bool hasOneOrder() const { return plan.order == LoopOrder::Common; }
   ReductionForm getForm(Operation *op) const {
     return plan.updates.lookup(op).reduction.getForm();
   }
-  /// Sets the form of an update's reduction. chooseDigits later adds its digits
-  /// and order.
+  /// Sets the form of an update's reduction. The digits and the order are added
+  /// later, by chooseDigits.
   void setForm(Operation *op, ReductionForm form,
                std::optional<int64_t> buffer = std::nullopt) {
     plan.updates[op].reduction =
@@ -156,7 +156,7 @@ static bool isLocalSum(memref::AtomicRMWOp atomic, ParallelForOp loop) {
   });
 }
 
-/// Runs the loop on one thread, where no update is atomic.
+/// Makes the loop run on one thread, where no update is atomic.
 void Planner::serialize() {
   plan.isSerial = true;
   for (auto &[op, update] : plan.updates)
@@ -201,7 +201,7 @@ bool Planner::hasFloatTotals() const {
                       [&](auto &entry) { return isFloatTotal(entry.first); });
 }
 
-/// The slice of the field that a group updates.
+/// Returns the slice of the field that a group of updates reaches.
 static std::optional<FieldSlice> getSlice(const AccumulationGroup &group) {
   SmallVector<bool> fixed =
       llvm::map_to_vector(group.fixed, [](Value index) { return bool(index); });
@@ -232,8 +232,8 @@ bool Planner::isWorthPrivate(const AccumulationGroup &group) {
   // always has a wider buffer.
   if (isFloat && (compensated || is16Bits(field.scalarType)))
     return true;
-  // If the number of iterations is unknown, decide at run time: a loop with few
-  // iterations runs as one partition, which needs no buffers.
+  // If the number of iterations is unknown, the decision is made at run time: a
+  // loop with few iterations runs as one partition, which needs no buffers.
   std::optional<int64_t> iterations = getNumIterations(loop);
   return !iterations || elements <= *iterations * updates * kElementsPerUpdate;
 }
@@ -278,7 +278,7 @@ bool Planner::isWarpSum(AtomicOp atomic) {
   return around == loop;
 }
 
-/// Whether host code within the kernel may run the loop several times in one
+/// True if host code within the kernel may run the loop several times in one
 /// launch.
 static bool isRepeated(ParallelForOp loop) {
   for (Operation *at = loop->getParentOp(); !isa<FunctionOpInterface>(at);
@@ -303,8 +303,8 @@ bool Planner::isWorthWide(const AccumulationGroup &group) {
                  double(*iterations) * updates > double(kFewTerms) * elements;
   if (!compensated && !is16Bits(scalar) && !hasMany)
     return false;
-  // Not for a loop that host code repeats, because each of its runs would need
-  // sums of its own.
+  // A loop that host code repeats does not get sums of this kind, because each
+  // of its runs would need sums of its own.
   return !isRepeated(loop) && elements * 16 <= kMaxAccumulatorBytes &&
          llvm::all_of(group.atomics,
                       [](AtomicOp atomic) { return isSum(atomic.getKind()); });
@@ -384,8 +384,8 @@ StringRef Planner::planField(FieldAccesses &accesses) {
     AccumulationGroup merged = sums.front();
     for (const AccumulationGroup &group : ArrayRef(sums).drop_front())
       mergeGroups(merged, group);
-    // A compensated sum always has a buffer of its own, so its part of the
-    // field need not be contiguous.
+    // A compensated sum always has its own buffer, so its part of the field
+    // need not be contiguous.
     if (isWorthPrivate(merged) && (compensated || isContiguous(merged))) {
       inBuffers.push_back(std::move(merged));
       sums.clear();
@@ -473,8 +473,8 @@ bool Planner::canRunInWarp() {
 /// Lets all threads of a GPU do the additions of a loop in fixed point: in
 /// three passes over the iterations, with accumulators that start at zero.
 bool Planner::useFixedPoint() {
-  // Not for a loop that host code repeats, because each of its runs would set
-  // the accumulators to zero.
+  // A loop that host code repeats is refused, because each of its runs would
+  // set the accumulators to zero.
   SmallVector<AtomicOp> additions;
   if (hasOneOrder() || compensated || isRepeated(loop) ||
       !canAddInAnyOrder(loop, fields, plan, additions))
@@ -483,8 +483,8 @@ bool Planner::useFixedPoint() {
       groupAccumulations(loop, additions, fields);
   if (failed(found))
     return false;
-  // Merge all groups of one storage: two groups could add to the same element
-  // at the same time.
+  // All groups of one storage are merged, because two groups could add to the
+  // same element at the same time.
   SmallVector<AccumulationGroup> groups;
   for (AccumulationGroup &group : *found) {
     auto *known = llvm::find_if(groups, [&](const AccumulationGroup &other) {
@@ -520,8 +520,8 @@ bool Planner::useFixedPoint() {
   return true;
 }
 
-/// The number of iterations of `loop`, as far as its extents are constant;
-/// unknown extents count as 1.
+/// Returns the number of iterations of `loop`, as far as its extents are
+/// constant; unknown extents count as 1.
 static double countIterations(ParallelForOp loop) {
   double count = 1;
   for (auto [from, to] :
@@ -547,8 +547,8 @@ static bool areMadeOnce(ArrayRef<Operation *> updates, ParallelForOp loop) {
   return true;
 }
 
-/// Whether the terms of `updates` can be stored in a buffer, and whether that
-/// is worth its memory.
+/// True if the terms of `updates` can be stored in a buffer, and this is worth
+/// the memory of the buffer.
 static bool canStoreTerms(ArrayRef<Operation *> updates, ParallelForOp loop) {
   if (updates.size() > kMostUpdates || loop.isStructFor() ||
       !areMadeOnce(updates, loop))
@@ -560,8 +560,8 @@ static bool canStoreTerms(ArrayRef<Operation *> updates, ParallelForOp loop) {
   return !lower || !upper || *upper - *lower >= kFewIterations;
 }
 
-/// The digits of a precise sum or product of terms of `type`, by the table in
-/// Forms.def.
+/// Returns the digits (the precision) of a precise sum or product of terms of
+/// `type`, by the table in Forms.def.
 static SumDigits getPreciseDigits(AtomicKind kind, Type type) {
   constexpr bool F64 = true, Narrow = false;
 #define TAI_PRECISE_TOTAL(rowKind, terms, digits, form)                        \
@@ -571,7 +571,8 @@ static SumDigits getPreciseDigits(AtomicKind kind, Type type) {
   return SumDigits::Own;
 }
 
-/// The digits in which a sum over all iterations is kept.
+/// Returns the digits (the precision) in which a sum over all iterations is
+/// kept.
 SumDigits Planner::getTotalDigits(Operation *update) {
   Type type = getTermType(update);
   AtomicKind kind = getCombiningKind(update);
@@ -731,7 +732,7 @@ FailureOr<ReductionPlan> Planner::run() {
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
   bool needsOrder = isDeterministic() && dependsOnTiming;
   if (needsOrder && onDevice && useFixedPoint()) {
-    // With sums in fixed point, all threads run the loop.
+    // With sums in fixed point, all threads run the loop, not a single warp.
   } else if (needsOrder && onDevice && canRunInWarp()) {
     plan.inWarp = true;
   } else if (isSmall || needsOrder) {

@@ -52,7 +52,7 @@ using llvm::createStringError;
 using llvm::Error;
 using llvm::Expected;
 
-// The generated sources of lib/DeviceLibrary.
+// The sources that the build generates from lib/DeviceLibrary.
 namespace mlir::tai {
 extern const unsigned char deviceLibraryNvptx[], deviceLibraryHost[];
 extern const unsigned long deviceLibraryNvptxSize, deviceLibraryHostSize;
@@ -187,7 +187,8 @@ DeviceCompiler::create(const DeviceTarget &target,
 //===----------------------------------------------------------------------===//
 
 /// Links the used functions of a library, without the processor attributes of
-/// its compiler: attributes that differ from the caller's prevent inlining.
+/// the compiler that built it: attributes that differ from the caller's prevent
+/// inlining.
 static Error linkNeeded(llvm::Module &module, llvm::MemoryBufferRef bitcode) {
   auto library = llvm::getLazyBitcodeModule(bitcode, module.getContext());
   if (!library)
@@ -212,7 +213,7 @@ static Error linkNeeded(llvm::Module &module, llvm::MemoryBufferRef bitcode) {
   return Error::success();
 }
 
-/// The names of the functions that use the missing function.
+/// Lists the names of the functions that use the missing function.
 static std::string getUsers(const llvm::Function &missing) {
   llvm::StringSet<> names;
   for (const llvm::User *user : missing.users())
@@ -332,8 +333,8 @@ static Error checkParameters(const llvm::Function &kernel) {
   return Error::success();
 }
 
-/// The attribute for the handling of f32 denormals, and its value for flushing
-/// them to zero.
+/// The attribute of a function for the handling of f32 denormals, and its value
+/// for flushing them to zero.
 constexpr StringLiteral kDenormalsAttrName = "denormal-fp-math-f32";
 constexpr StringLiteral kFlushing = "preserve-sign,preserve-sign";
 
@@ -511,8 +512,8 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
 // Optimisation
 //===----------------------------------------------------------------------===//
 
-/// Runs an LLVM task on the code. After a fatal error, the code is leaked,
-/// since its objects must not be destroyed.
+/// Runs an LLVM task on the device code. After a fatal error, the code is
+/// leaked, since its objects must not be destroyed.
 Error DeviceCompiler::guard(DeviceCode &code, StringRef place,
                             llvm::function_ref<void()> task) {
   Error error = guardFatalErrors(broken, place, task);
@@ -626,8 +627,8 @@ static Error checkExternals(StringRef ptx) {
   return Error::success();
 }
 
-/// The module as LLVM bitcode, which can be linked with other kernels into a
-/// program.
+/// Returns the module as LLVM bitcode, which can be linked with other kernels
+/// into a program.
 static std::shared_ptr<const std::string>
 getBitcode(const llvm::Module &module) {
   auto bytes = std::make_shared<std::string>();
@@ -636,7 +637,8 @@ getBitcode(const llvm::Module &module) {
   return bytes;
 }
 
-/// Removes functions that only programs of several kernels use.
+/// Removes the functions that run single iterations, which only programs of
+/// several kernels use.
 static void removeTileFunctions(llvm::Module &module,
                                 ArrayRef<std::string> functions) {
   SmallVector<llvm::Function *> unused;

@@ -27,7 +27,7 @@ using namespace mlir::tai;
 static constexpr StringLiteral fileName = "libdevice.10.bc";
 
 namespace {
-/// The paths to search, without duplicates.
+/// The paths at which libdevice is searched, without duplicates.
 class Places {
 public:
   template <typename... Parts>
@@ -54,8 +54,8 @@ public:
 
 static std::vector<std::string> getPlaces() {
   Places places;
-  // If the environment variable TAI_LIBDEVICE names the file, search nowhere
-  // else.
+  // If the environment variable TAI_LIBDEVICE names the file, no other place is
+  // searched.
   if (std::optional<std::string> path = sys::Process::GetEnv("TAI_LIBDEVICE"))
     return {*path};
   for (const char *name : {"CUDA_HOME", "CUDA_PATH", "CUDA_ROOT"})

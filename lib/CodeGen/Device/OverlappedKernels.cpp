@@ -23,8 +23,8 @@ using namespace mlir::tai;
 using llvm::createStringError;
 using llvm::Expected;
 
-/// Makes a kernel that calls `body` once all work queued earlier has ended, and
-/// lets work queued later be prepared from the start.
+/// Makes a kernel that calls `body` once all work queued earlier has ended;
+/// work queued later can be prepared from the start.
 static llvm::Function *addKernel(llvm::Function &body, size_t number) {
   llvm::Module &module = *body.getParent();
   llvm::LLVMContext &context = module.getContext();

@@ -61,7 +61,7 @@ Expected<llvm::Function *> tai::addPart(llvm::Module &module, StringRef bytes,
   for (llvm::GlobalValue &value : (*part)->global_values())
     if (!value.isDeclaration() && &value != body) {
       // Each part has its own copies of library functions, possibly specialised
-      // in different ways: rename the copies.
+      // in different ways, so the copies are renamed.
       if (value.hasName())
         value.setName("part" + Twine(number) + "." + value.getName());
       value.setLinkage(llvm::GlobalValue::InternalLinkage);
@@ -94,10 +94,12 @@ static StringRef getBarrierName(int scope) {
   }
 }
 
-/// Emits a call of the part `body`, whose parameters are in the memory `slots`.
+/// Emits a call of the program part `body`, whose parameters are in the memory
+/// `slots`.
 static void callPart(llvm::IRBuilder<> &builder, llvm::Function *body,
                      llvm::Value *slots, bool isCuda) {
-  // On the emulated device, a part takes the pointer to the slots.
+  // On the emulated device, a part of a program takes the pointer to its
+  // parameter slots.
   if (!isCuda) {
     builder.CreateCall(body, {slots});
     return;
@@ -158,7 +160,8 @@ static void addDispatch(llvm::Module &module,
 }
 
 namespace {
-/// Builds the kernel that runs a whole program.
+/// Builds the kernel that runs a whole program (the fused bodies of several
+/// kernels).
 class ProgramBuilder {
 public:
   ProgramBuilder(llvm::Module &module, const runtime::ProgramPlan &plan,
@@ -297,7 +300,7 @@ makeLibrary(DeviceCompiler &compiler, ArrayRef<runtime::ProgramPart> parts) {
   });
 }
 
-/// Emits a call of the device library's function that runs rows of the step
+/// Emits a call of the device library's function that runs steps from the step
 /// table.
 void ProgramBuilder::addRows(const runtime::ProgramSegment &segment,
                              uint64_t row) {
@@ -334,7 +337,7 @@ void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
     listRow = builder.CreateGEP(
         i64, kernel->getArg(Table),
         builder.CreateAdd(words, builder.getInt64(segment.listStart)));
-    // Prefetch the row that the loop's list has for the next iteration.
+    // The parameters of the next iteration, in the loop's list, are prefetched.
     constexpr size_t lineWords = 16;
     for (size_t i = 0; isCuda && i < segment.listWidth; i += lineWords)
       prefetch(builder.CreateConstGEP1_64(i64, listRow, segment.listWidth + i));
@@ -353,7 +356,8 @@ void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
   llvm::Instruction *back = builder.CreateCondBr(
       builder.CreateICmpULT(next, builder.getInt64(segment.count)), body,
       after);
-  // The body of the loop is long: it holds whole kernels.
+  // The body of the loop is not unrolled: it is long, since it holds whole
+  // kernels.
   disableUnrolling(back);
   builder.SetInsertPoint(after);
 }
@@ -421,7 +425,8 @@ void ProgramBuilder::prefetch(llvm::Value *address) {
                      {address});
 }
 
-/// Allocates the overlay, as large as the largest chain requires.
+/// Allocates the overlay of a thread block, as large as the largest tile chain
+/// requires.
 void ProgramBuilder::makeOverlays() {
   for (const runtime::TileChain &chain : plan.chains)
     overlayBytes = std::max(overlayBytes, chain.bytes);
@@ -448,7 +453,7 @@ void ProgramBuilder::makeOverlays() {
   overlays = llvm::ConstantExpr::getAddrSpaceCast(memory, builder.getPtrTy());
 }
 
-/// The address of the current block's overlay.
+/// Emits the address of the overlay of the current thread block.
 llvm::Value *ProgramBuilder::getOverlay() {
   if (isCuda)
     return overlays;
@@ -465,8 +470,8 @@ llvm::Value *ProgramBuilder::getOverlay() {
                         builder.getInt64(overlayBytes)));
 }
 
-/// Emits half of a chain: its loads, or its stages and stores, which run after
-/// all blocks have loaded.
+/// Emits one half of a tile chain: its loads, or its stages and stores, which
+/// run after all blocks have loaded.
 void ProgramBuilder::addHalf(const runtime::ProgramLoopStep &step,
                              bool isSecond) {
   SmallVector<llvm::Value *> slots;
@@ -480,16 +485,16 @@ void ProgramBuilder::addHalf(const runtime::ProgramLoopStep &step,
   tiles.emitStores(slots);
 }
 
-/// A block computes its tile when it has loaded it, and stores the tile when
-/// all blocks have loaded theirs.
+/// In a tile chain, a block computes its tile when it has loaded the overlay,
+/// and stores the tile when all blocks have loaded theirs.
 void ProgramBuilder::addChain(const runtime::ProgramLoopStep &step) {
   const runtime::TileChain &chain = *getChain(step);
   SmallVector<llvm::Value *> slots;
   for (const runtime::ProgramSlot &slot : step.slots)
     slots.push_back(getParameter(slot));
   TileBuilder tiles(builder, chain, bodies, overlays, plan.threads, isCuda);
-  // Wait for all threads of the block: some may still be using the previous
-  // contents of the overlay.
+  // The block waits for all its threads, because some may still be using the
+  // previous contents of the overlay.
   builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
   tiles.emitLoads(slots);
   llvm::Type *i32 = builder.getInt32Ty(), *pointer = builder.getPtrTy();
@@ -566,8 +571,8 @@ void ProgramBuilder::noteClock(llvm::Value *steps) {
                        {kernel->getArg(Header), steps});
 }
 
-/// Removes functions of single iterations. Tile chains have copied them into
-/// their own functions.
+/// Removes the device functions that run a single iteration of a loop, which
+/// tile chains have copied into functions of their own.
 static void removeTileFunctions(llvm::Module &module) {
   llvm::Function *site = module.getFunction(runtime::tileSiteFunction);
   while (site && !site->use_empty()) {
@@ -625,8 +630,8 @@ mlir::tai::makeProgram(DeviceCompiler &compiler,
     for (llvm::Function &function : module)
       if (&function != kernel)
         dropInvariantLoads(function);
-    // Inline the device library's function that runs the step table if it is
-    // called once. Also inline the functions for barriers and for part
+    // The device library's function that runs the step table is inlined if it
+    // is called once; so are the functions for barriers and for part
     // parameters, whose arguments are then constants.
     if (llvm::Function *runner = module.getFunction(getRunnerName(plan.scope)))
       if (runner->hasOneUse())

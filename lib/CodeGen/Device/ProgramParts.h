@@ -14,12 +14,12 @@
 
 namespace mlir::tai {
 
-/// Links the bitcode of a part into a module, and returns its function there,
-/// under a unique name.
+/// Links the bitcode of a program part into a module, and returns the part's
+/// function there, under a unique name.
 llvm::Expected<llvm::Function *> addPart(llvm::Module &module, StringRef bytes,
                                          StringRef name, size_t number);
 
-/// Makes a kernel of each part that itself waits for earlier kernels in the
+/// Makes, of each part, a kernel that itself waits for earlier kernels in the
 /// queue (programmatic dependent launch).
 llvm::Expected<runtime::DeviceImage>
 makeOverlapped(DeviceCompiler &compiler, ArrayRef<runtime::ProgramPart> parts);

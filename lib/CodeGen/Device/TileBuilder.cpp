@@ -36,7 +36,8 @@ llvm::Value *mlir::tai::convertSlot(llvm::IRBuilder<> &builder,
   return builder.CreateBitCast(value, type);
 }
 
-/// Calls a function of the device library without parameters.
+/// Emits a call of a parameterless function of the device library, such as the
+/// number of the thread.
 llvm::Value *TileBuilder::getPlace(StringRef function) {
   llvm::Module *module = builder.GetInsertBlock()->getModule();
   auto *type = llvm::FunctionType::get(builder.getInt32Ty(), false);
@@ -86,8 +87,8 @@ TileBuilder::TileBuilder(llvm::IRBuilder<> &builder, const TileChain &chain,
         builder.CreateNSWAdd(builder.CreateNSWMul(along, number(chain.tile[d])),
                              number(chain.lower[d]));
   }
-  // If there is a thread for each cell, expressions of the thread's cell are
-  // computed once for the whole chain.
+  // If there is a thread for each cell, the index expressions of the thread's
+  // cell are computed once for the whole chain.
   if (isCuda && numCells <= int64_t(threads)) {
     llvm::Value *thread = getPlace("tai_dev_thread_id");
     own = getCell(thread);
@@ -152,7 +153,7 @@ void TileBuilder::forEachCell(const TileHalo &halo, CellEmitter emit) {
     emit(cell);
   at->addIncoming(builder.CreateNSWAdd(at, threads), builder.GetInsertBlock());
   llvm::Instruction *back = builder.CreateBr(head);
-  // Do not unroll: most threads visit few cells.
+  // The loop is not unrolled, since most threads visit few cells.
   disableUnrolling(back);
   builder.SetInsertPoint(after);
 }
@@ -189,9 +190,9 @@ llvm::Value *TileBuilder::isInBox(const Cell &cell) {
   return all;
 }
 
-/// The address, in the overlay of the array `row`, of the cell that `site`
-/// accesses in the iteration at the cell `place`. Without a site, the address
-/// of the cell `place` itself.
+/// Emits the address, in the overlay of the array `row`, of the cell that
+/// `site` accesses in the iteration at the cell `place`. Without a site, the
+/// address of the cell `place` itself.
 llvm::Value *TileBuilder::getOverlay(llvm::IRBuilder<> &at, const TileRow &row,
                                      llvm::Value *base, llvm::Value *place,
                                      const TileSite *site) {
@@ -208,8 +209,8 @@ llvm::Value *TileBuilder::getOverlay(llvm::IRBuilder<> &at, const TileRow &row,
       static_cast<uint64_t>(row.offset + distance * size));
 }
 
-/// The address in global memory, as an integer, of the cell with index 0 of the
-/// array `row`.
+/// Emits the address in global memory, as an integer, of the cell with index 0
+/// of the array `row`.
 llvm::Value *TileBuilder::getOrigin(const TileRow &row,
                                     ArrayRef<llvm::Value *> slots) {
   const DeviceAccess &access = row.site.access;
@@ -257,8 +258,8 @@ void TileBuilder::emitLoads(ArrayRef<llvm::Value *> slots) {
   if (loaded.empty())
     return;
   forEachCell(window, [&](const Cell &cell) {
-    // Issue all loads before the first use of a loaded value. Beyond the array,
-    // load any element: it will not be used.
+    // All loads are issued before the first use of a loaded value. Beyond the
+    // array, any element is loaded, since its value is not used.
     SmallVector<llvm::Value *> values;
     for (auto [row, origin] : llvm::zip(loaded, origins)) {
       SmallVector<llvm::Value *> indices(cell.index);
@@ -316,8 +317,7 @@ llvm::Function *TileBuilder::makeStage(const TileStage &stage) {
       const TileRow &row = chain.rows[static_cast<size_t>(number)];
       llvm::IRBuilder<> at(call);
       pointer = getOverlay(at, row, base, place, &stage.sites[site]);
-      // The pointer into the overlay is aligned to the size of one element
-      // only.
+      // A pointer into the overlay is aligned to the size of one element only.
       llvm::Align alignment(static_cast<uint64_t>(row.site.access.size));
       for (llvm::User *user : call->users()) {
         if (auto *load = dyn_cast<llvm::LoadInst>(user))

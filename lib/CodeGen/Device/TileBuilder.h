@@ -22,9 +22,9 @@ void disableUnrolling(llvm::Instruction *back);
 /// of the block share the cells of the tile.
 class TileBuilder {
 public:
-  /// `chain`: the launches. `bodies`: for each part number, the function that
-  /// runs one iteration. `overlay`: shared memory of the block, which has
-  /// `threads` threads.
+  /// Builds the code of a tile chain. `chain`: the launches. `bodies`: for each
+  /// part number, the function that runs one iteration. `overlay`: shared
+  /// memory of the block, which has `threads` threads.
   TileBuilder(llvm::IRBuilder<> &builder, const runtime::TileChain &chain,
               ArrayRef<llvm::Function *> bodies, llvm::Value *overlay,
               unsigned threads, bool isCuda);
@@ -33,10 +33,11 @@ public:
   /// whose overlay starts with values from memory. A barrier must follow.
   /// `slots`, here and below, are the parameters of all launches of the chain.
   void emitLoads(ArrayRef<llvm::Value *> slots);
-  /// Emits all launches of the chain, on the overlay. Each thread stores only
-  /// cells that it has computed itself.
+  /// Emits all launches of the chain, which work on the overlay. Each thread
+  /// stores only cells that it has computed itself.
   void emitStages(ArrayRef<llvm::Value *> slots);
-  /// Stores the tile, without its halo, from the overlay to memory.
+  /// Emits the stores of the tile, without its halo, from the overlay to global
+  /// memory.
   void emitStores(ArrayRef<llvm::Value *> slots);
 
 private:
@@ -80,11 +81,12 @@ private:
   const runtime::TileHalo &window;
   int64_t numCells = 1;
   SmallVector<int64_t> extents;
-  /// hasTile: an i1, whether the block has a tile. first: the first index of
-  /// the block's tile along each dimension.
+  /// hasTile: an i1 that is true if the block has a tile. first: the first
+  /// index of the block's tile along each dimension.
   llvm::Value *hasTile;
   SmallVector<llvm::Value *> first;
-  /// The cell of the current thread, if the block has a thread for each cell.
+  /// The cell of the current thread, if the thread block has a thread for each
+  /// cell.
   std::optional<Cell> own;
   llvm::Value *hasOwn = nullptr;
 };

@@ -59,7 +59,8 @@ static constexpr unsigned maxChosen = 4, maxChosenBases = 2,
 static constexpr char kApartName[] = "tai.apart";
 
 namespace {
-/// A group of additions that are all moved to the place of the last of them.
+/// A group of atomic additions that are all moved to the place of the last of
+/// them.
 using Group = SmallVector<AtomicRMWInst *, 8>;
 
 class GroupFinder {
@@ -69,8 +70,8 @@ public:
   /// Fills `known` and `chosen`.
   void find(BasicBlock &block);
 
-  /// Groups with addresses that are provably equal in a warp (`known`), and
-  /// groups with data-dependent addresses (`chosen`).
+  /// Groups of additions whose addresses are provably equal in a warp
+  /// (`known`), and groups with data-dependent addresses (`chosen`).
   std::vector<Group> known, chosen;
 
 private:
@@ -85,7 +86,7 @@ private:
   Group openKnown, openChosen;
 };
 
-/// Emits the code for one group.
+/// Emits the combined additions of a warp for one group.
 class GroupEmitter {
 public:
   explicit GroupEmitter(Group &group)
@@ -122,8 +123,8 @@ static bool isAddition(const Instruction &instruction) {
          !op->hasMetadata(kApartName);
 }
 
-/// True for provable multiples of the size of a warp, assuming that a block
-/// consists of whole warps.
+/// True for numbers that are provably multiples of the size of a warp, assuming
+/// that a block consists of whole warps.
 static bool isWholeWarps(const Value *value, unsigned depth) {
   if (auto *constant = dyn_cast<ConstantInt>(value))
     return constant->getValue().countr_zero() >= Log2_32(warpSize);
@@ -199,7 +200,7 @@ static bool isThreadNumber(const Value *value, unsigned depth) {
   }
 }
 
-/// True if all threads of a warp have the same value for `value`.
+/// True if all threads of a warp have the same number in `value`.
 bool GroupFinder::isSameInWarp(const Value *value, unsigned depth) {
   if (uniformity.isUniform(value))
     return true;
@@ -256,7 +257,8 @@ bool GroupFinder::isChosen(const Value *value, unsigned depth, bool &isLoaded) {
 }
 
 bool GroupFinder::mayPass(Instruction &instruction, const Group &open) {
-  // Atomic additions to one element may be reordered.
+  // Atomic additions to one element may be reordered, so they do not end the
+  // group.
   if (isAddition(instruction))
     return true;
   if (!isGuaranteedToTransferExecutionToSuccessor(&instruction))
@@ -274,7 +276,7 @@ bool GroupFinder::mayPass(Instruction &instruction, const Group &open) {
   });
 }
 
-/// Whether the addition is to a field. Additions of the device library, which
+/// True if the addition is to a field. Additions of the device library, which
 /// one thread does, lack this metadata.
 static bool isOfField(const AtomicRMWInst &op) {
   return op.hasMetadata(LLVMContext::MD_noalias);
@@ -343,9 +345,10 @@ static bool isInvariant(const Value *value, unsigned depth) {
   });
 }
 
-/// Whether the active threads add to the same elements; null where they always
-/// do. An address may be equal for all threads in each iteration of a loop, but
-/// the active threads need not be in the same iteration.
+/// Emits the test whether the active threads of a warp add to the same
+/// elements; null where they always do. An address may be equal for all threads
+/// in each iteration of a loop, but the active threads need not be in the same
+/// iteration.
 Value *GroupEmitter::emitComparison() {
   SmallPtrSet<Value *, 8> bases;
   Value *isSame = nullptr;
@@ -364,10 +367,11 @@ Value *GroupEmitter::emitComparison() {
   return isSame;
 }
 
-/// Emits the reduction for the case that all threads of the warp are active.
+/// Emits the reduction of a warp's values for the case that all threads of the
+/// warp are active.
 void GroupEmitter::emitFull(BasicBlock *tail) {
-  // Select base and offset separately: most addresses are one of few bases plus
-  // a constant, which needs no register.
+  // Base and offset of an address are selected separately: most addresses are
+  // one of few bases plus a constant, which needs no register.
   SmallVector<Value *> values, bases, offsets;
   const DataLayout &layout = group.back()->getDataLayout();
   for (AtomicRMWInst *op : group) {
@@ -422,8 +426,8 @@ void GroupEmitter::emitFull(BasicBlock *tail) {
   builder.CreateBr(tail);
 }
 
-/// Emits the reduction for the case that exactly the first threads of the warp
-/// are active.
+/// Emits the reduction of a warp's values for the case that exactly the first
+/// threads of the warp are active.
 void GroupEmitter::emitFirstThreads(BasicBlock *tail) {
   SmallVector<Value *> sums;
   for (AtomicRMWInst *op : group)
@@ -510,8 +514,8 @@ mlir::tai::AggregateAtomics::run(Function &function,
     finder.find(block);
   if (!combinesScatters || finder.chosen.size() > maxChosenGroups)
     finder.chosen.clear();
-  // Handle the groups from the last to the first: splitting a block then leaves
-  // the part before the split intact for the remaining groups.
+  // The groups are handled from the last to the first: splitting a block then
+  // leaves the part before the split intact for the remaining groups.
   for (Group &group : reverse(finder.known))
     GroupEmitter(group).emit();
   for (Group &group : reverse(finder.chosen))

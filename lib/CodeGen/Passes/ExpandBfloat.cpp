@@ -13,8 +13,8 @@
 
 using namespace llvm;
 
-/// The upper half of the bits of an f32, rounded: half a unit is added to the
-/// dropped bits, and the last kept bit decides a tie. A NaN becomes a quiet
+/// Emits the upper half of the bits of an f32, rounded: half a unit is added to
+/// the dropped bits, and the last kept bit decides a tie. A NaN becomes a quiet
 /// NaN.
 static Value *roundToBfloat(IRBuilder<> &builder, Value *number, Type *type) {
   Type *larger = number->getType()->getWithNewType(builder.getInt32Ty());

@@ -13,7 +13,7 @@
 
 using namespace llvm;
 
-/// The comparison of the old value with the operand that is true if the
+/// Emits the comparison of the old value with the operand that is true if the
 /// operation does not change the element. For floats it is false if either is a
 /// NaN, and for two zeros their signs decide.
 static std::optional<CmpInst::Predicate>

@@ -27,7 +27,7 @@ using namespace llvm;
 /// occupies a register for longer.
 static constexpr unsigned mostWords = 48;
 
-/// The maximum number of writes that a load is compared with.
+/// The maximum number of writes with which a load is compared.
 static constexpr size_t mostWrites = 128;
 
 namespace {
@@ -49,17 +49,19 @@ private:
   /// moved after it.
   Instruction *last = nullptr;
   unsigned words = 0;
-  /// Instructions after `last` that are not part of the group: `writes` are
-  /// those that write memory, `behind` is the set of all.
+  /// Instructions after `last`, the last load of the group, that are not part
+  /// of the group: `writes` are those that write memory, `behind` is the set of
+  /// all.
   SmallVector<Instruction *> writes;
   SmallPtrSet<Instruction *, 32> behind;
-  /// Whether an instruction after `last` is one that ptxas expands to branches.
+  /// True if an instruction after the last load of the group is one that ptxas
+  /// expands to branches.
   bool branches = false;
   bool changed = false;
 };
 } // namespace
 
-/// Whether ptxas expands `instruction` to branches, past which it moves no
+/// True if ptxas expands `instruction` to branches, past which it moves no
 /// loads.
 static bool isSplitting(const Instruction &instruction) {
   switch (instruction.getOpcode()) {
@@ -80,7 +82,7 @@ static bool isSplitting(const Instruction &instruction) {
   }
 }
 
-/// Whether an instruction may be moved to an earlier place.
+/// True if an instruction may be moved to an earlier place in its block.
 static bool isSafeToMove(const Instruction &instruction) {
   return isa<GetElementPtrInst, CastInst, BinaryOperator, SelectInst, ICmpInst>(
              instruction) &&

@@ -34,15 +34,15 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The number of elements of a vector that estimates assume.
+/// The number of elements of a vector that the size estimates assume.
 constexpr unsigned kLanes = 8;
 
 /// Marks functions that contain a loop with too many pairs of accesses.
 constexpr StringLiteral kManyPairs = "tai-many-pairs";
 } // namespace
 
-/// The number of instructions that a call of a library function becomes once
-/// the loop around it is vectorised.
+/// Estimates the number of instructions that a call of a library function
+/// becomes once the loop around it is vectorised.
 static uint64_t getVectorizedSize(const CallBase &call,
                                   const TargetTransformInfo &target,
                                   const TargetLibraryInfo &library) {
@@ -100,7 +100,7 @@ PreservedAnalyses KeepHugeLoopsScalar::run(Function &function,
   return PreservedAnalyses::all();
 }
 
-/// Whether a block has more instructions than `limit`.
+/// True if some block of the function has more instructions than `limit`.
 static bool hasBlockAbove(const Function &function, unsigned limit) {
   return any_of(function,
                 [&](const BasicBlock &block) { return block.size() > limit; });
@@ -112,7 +112,8 @@ bool KeepHugeLoopsScalar::canRun(StringRef pass, const Any &ir) {
     return true;
   if (pass == "LoopLoadEliminationPass")
     return !(*function)->hasFnAttribute(kManyPairs);
-  // Unrolling consecutive short loops makes such huge blocks.
+  // The SLP vectoriser does not run on functions with huge blocks, which are
+  // made by unrolling consecutive short loops.
   return pass != "SLPVectorizerPass" ||
          !hasBlockAbove(**function, HugeBodyLimits().block);
 }
@@ -121,7 +122,7 @@ bool KeepHugeLoopsScalar::canRun(StringRef pass, const Any &ir) {
 // Blocks
 //===----------------------------------------------------------------------===//
 
-/// The approximate number of machine instructions that one IR instruction
+/// Estimates the number of machine instructions that one IR instruction
 /// becomes.
 static uint64_t getMachineSize(const Instruction &instruction,
                                const TargetTransformInfo &target) {
@@ -133,7 +134,7 @@ static uint64_t getMachineSize(const Instruction &instruction,
   return cost.isValid() ? std::max<int64_t>(cost.getValue(), 1) : 1;
 }
 
-/// Whether an instruction cannot be moved to another function.
+/// True if an instruction cannot be moved to another function.
 static bool mustStay(const Instruction &instruction) {
   if (isa<PHINode>(instruction) || isa<AllocaInst>(instruction) ||
       instruction.isTerminator() || instruction.isEHPad() ||
@@ -176,8 +177,8 @@ public:
   void divide();
 
 private:
-  /// The offset, in the memory shared by the parts, of a value that other parts
-  /// may use.
+  /// Returns the offset, in the memory that the parts share, of a value that
+  /// other parts may use.
   uint64_t getPlace(Value *value);
   Value *getAddress(IRBuilder<> &builder, Value *memory, Value *value);
   void storeTo(IRBuilder<> &builder, Value *memory, Value *value);
@@ -238,7 +239,7 @@ void BlockDivider::outline(const Part &part, unsigned number) {
   made->setSubprogram(nullptr);
   made->setComdat(nullptr);
   // Attributes about parameters, memory and the result describe only the whole
-  // function: drop them.
+  // function, and are dropped for its parts.
   AttrBuilder attributes(context, made->getAttributes().getFnAttrs());
   attributes.removeAttribute(Attribute::Memory);
   attributes.removeAttribute(Attribute::AlwaysInline);
@@ -279,8 +280,8 @@ void BlockDivider::outline(const Part &part, unsigned number) {
       use.set(mine);
     }
   }
-  // Store the values of this part that other parts use; `divide` has assigned
-  // their places.
+  // The values of this part that other parts use are stored to shared memory,
+  // at offsets that `divide` has assigned.
   for (Instruction *instruction : part) {
     if (!places.contains(instruction))
       continue;
@@ -299,7 +300,7 @@ void BlockDivider::divide() {
                               "shared");
   memory->setAlignment(Align(64));
 
-  // Find values that the parts use and that are defined outside of all parts,
+  // Finds values that the parts use and that are defined outside of all parts,
   // and uses of a part's values outside of the part.
   SetVector<Value *> given;
   SmallVector<std::pair<Use *, Instruction *>> taken;
@@ -391,7 +392,7 @@ bool Sizes::isHuge(const BasicBlock &block,
          writes * accesses > limits.pairs;
 }
 
-/// The movable instructions of a block, in order, grouped into parts of
+/// Groups the movable instructions of a block, in order, into parts of
 /// consecutive instructions.
 SmallVector<Part, 0> Sizes::getParts(BasicBlock &block, unsigned limit) const {
   SmallVector<Part, 0> parts;
@@ -445,8 +446,8 @@ void mlir::tai::divideHugeBlocks(Module &module, const TargetMachine *machine,
 
 void mlir::tai::keepCallsInHugeFunctions(Module &module, StringRef prefix,
                                          HugeBodyLimits limits) {
-  // A function with fewer instructions than this is no longer than a call of
-  // it.
+  // A library function with fewer instructions than this is no longer than a
+  // call of it.
   constexpr unsigned shortest = 10;
   for (Function &function : module) {
     if (function.getName().starts_with(prefix))

@@ -50,11 +50,12 @@ bool mlir::tai::mayReturnEarly(const Function &function) {
 }
 
 namespace {
-/// Loops that take fewer instructions than this end within a millisecond.
+/// Loops that take fewer instructions than this end within a millisecond, and
+/// need no safepoint.
 constexpr uint64_t kShortLoop = 200000;
 
-/// If the function is the body of a parallel loop: an upper bound of the loop's
-/// iterations. Otherwise, or if unknown, 0.
+/// If the function is the body of a parallel loop: returns an upper bound of
+/// the loop's iterations. Otherwise, or if unknown, 0.
 uint64_t getIterations(const Function &function) {
   uint64_t most = 0;
   for (const Use &use : function.uses()) {
@@ -71,7 +72,7 @@ uint64_t getIterations(const Function &function) {
   return most;
 }
 
-/// Whether `loop` runs up to the end of the range of iterations that the
+/// True if `loop` runs up to the end of the range of iterations that the
 /// function (the body of a parallel loop) gets. Other loops of the function,
 /// such as a loop from which an iteration was peeled off, do not depend on this
 /// end.
@@ -87,9 +88,9 @@ bool goesOverPart(const Loop &loop, ScalarEvolution &evolution) {
          });
 }
 
-/// An upper bound of the instructions that all iterations of `loop` execute;
-/// UINT64_MAX if there is none. `iterations` is the number of iterations of the
-/// parallel loop, 0 if unknown.
+/// Returns an upper bound of the instructions that all iterations of `loop`
+/// execute; UINT64_MAX if there is none. `iterations` is the number of
+/// iterations of the parallel loop, 0 if unknown.
 uint64_t countInstructions(const Loop &loop, ScalarEvolution &evolution,
                            uint64_t iterations) {
   uint64_t perRound = 0;
@@ -184,8 +185,8 @@ PreservedAnalyses InsertSafepoints::run(Function &function,
   PollInserter inserter(function);
   for (Instruction *branch : backEdges)
     inserter.insertBefore(branch);
-  // Remove the memory attribute of an outlined part: it was inferred before the
-  // part had polls, which access memory.
+  // The memory attribute of an outlined part is removed: it was inferred before
+  // the part had polls, which access memory.
   if (function.hasFnAttribute(kLoopPart))
     function.removeFnAttr(llvm::Attribute::Memory);
   return PreservedAnalyses::none();

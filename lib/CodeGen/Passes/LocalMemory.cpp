@@ -22,7 +22,8 @@
 
 using namespace llvm;
 
-/// The first block with a reduction over the threads of a block, or null.
+/// Returns the first basic block with a reduction over the threads of a thread
+/// block, or null.
 static BasicBlock *findMeeting(Function &function, const DominatorTree &tree) {
   BasicBlock *first = nullptr;
   for (Instruction &instruction : instructions(function)) {
@@ -127,8 +128,8 @@ static void endWhereNull(CallInst &call, Value &address,
     phi.addIncoming(Constant::getNullValue(phi.getType()), lacking);
   if (isValid(function))
     return;
-  // The thread cannot take part in the reductions, which need values that it
-  // has not computed: it returns instead.
+  // A thread that lacks memory returns, because it cannot contribute to the
+  // reductions, which need values that it has not computed.
   meeting->removePredecessor(lacking, /*KeepOneInputPHIs=*/true);
   leave->eraseFromParent();
   builder.SetInsertPoint(lacking);

@@ -32,8 +32,8 @@ bool mlir::tai::looksThroughCalls(StringRef pass) {
 }
 
 namespace {
-/// A group of consecutive loops that becomes a function: its blocks, with the
-/// entry block first.
+/// A group of consecutive loops that becomes a function: the blocks of the
+/// loops, with the entry block first.
 using Part = SmallSetVector<BasicBlock *, 32>;
 
 class LoopDivider {
@@ -66,13 +66,13 @@ private:
 
   Function &function;
   ManyLoopsLimits limits;
-  /// Whether the function, and so each part of it, may return early at a
+  /// True if the function, and so each part of it, may return early at a
   /// safepoint.
   bool mayEnd;
   DominatorTree tree;
   LoopInfo loops;
   SmallVector<Part, 0> parts;
-  /// For each part, the block that is executed after it.
+  /// For each part of the function, the block that is executed after it.
   SmallVector<BasicBlock *> behind;
   DenseMap<const BasicBlock *, int> partOf;
   SmallVector<Function *> made;
@@ -87,7 +87,7 @@ private:
 // Parts
 //===----------------------------------------------------------------------===//
 
-/// Whether an instruction cannot be moved to another function.
+/// True if an instruction cannot be moved to another function.
 static bool mustStay(const Instruction &instruction) {
   if (isa<AllocaInst, ReturnInst, InvokeInst>(instruction) ||
       instruction.getType()->isTokenTy())
@@ -97,8 +97,8 @@ static bool mustStay(const Instruction &instruction) {
                   call->hasFnAttr(llvm::Attribute::ReturnsTwice));
 }
 
-/// Makes a part of the blocks from `first` up to `next`, unless they have
-/// several entries or exits.
+/// Adds the blocks from `first` up to `next` to the parts that become functions
+/// of their own, unless the blocks have several entries or exits.
 void LoopDivider::addPart(BasicBlock *first, BasicBlock *next) {
   Part part;
   SmallVector<BasicBlock *> pending = {first};
@@ -124,8 +124,8 @@ void LoopDivider::addPart(BasicBlock *first, BasicBlock *next) {
 /// Divides the loops `siblings`, which have the same parent loop, into parts.
 /// False if no part was found.
 bool LoopDivider::findPartsOf(ArrayRef<Loop *> siblings) {
-  // Take the chain of loops that dominate the last loop, which is the deepest
-  // in the dominator tree.
+  // The chain consists of the loops that dominate the last loop, which is the
+  // deepest in the dominator tree.
   auto level = [&](const Loop *loop) {
     return tree.getNode(loop->getHeader())->getLevel();
   };
@@ -345,8 +345,8 @@ bool LoopDivider::divide() {
   for (unsigned number = 0; number != parts.size(); ++number)
     made.push_back(createPart(number));
 
-  // Replace uses of shared values by loads before any value is stored, because
-  // a store is a use as well.
+  // Uses of shared values are replaced by loads before any value is stored,
+  // because a store is a use as well.
   DenseMap<std::pair<Value *, int>, Value *> loaded;
   for (auto &[value, place] : places)
     for (Use &use : make_early_inc_range(value->uses())) {

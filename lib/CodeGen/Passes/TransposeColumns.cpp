@@ -25,8 +25,8 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-/// For a vector of integers or pointers: the difference between consecutive
-/// lanes, if it is the same for all lanes.
+/// Returns, for a vector of integers or pointers, the difference between
+/// consecutive lanes, if it is the same for all lanes.
 static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
                                        unsigned depth = 0) {
   using namespace PatternMatch;
@@ -108,8 +108,8 @@ struct Rows {
   Value *getLanes() const {
     return pointer->getType()->isVectorTy() ? pointer : index;
   }
-  /// The distance in bytes between the starts of consecutive rows, if it is the
-  /// same for all rows.
+  /// Returns the distance in bytes between the starts of consecutive rows of a
+  /// matrix, if it is the same for all rows.
   std::optional<int64_t> findStep(const DataLayout &layout) const {
     Value *lanes = getLanes();
     std::optional<int64_t> step = ::findStep(lanes, layout);
@@ -208,7 +208,7 @@ std::optional<Transposer::Matrix> Transposer::findColumn(CallBase &call,
   auto *mask = dyn_cast<Constant>(call.getArgOperand(stores ? 2 : 1));
   if (!type || !mask || !mask->isAllOnesValue() || !getChunk(type))
     return std::nullopt;
-  // Add terms of the address that are equal in all lanes to the offset.
+  // Terms of the address that are equal in all lanes are added to the offset.
   auto sizeOf = [&](GetElementPtrInst *address) {
     return static_cast<int64_t>(
         layout.getTypeAllocSize(address->getSourceElementType()));
@@ -257,16 +257,16 @@ void Transposer::number() {
     }
 }
 
-/// Whether two memory accesses possibly conflict, that is, touch the same
-/// memory while one of them writes. The first accesses `columns`.
+/// True if two memory accesses possibly conflict, that is, touch the same
+/// memory while one of them writes. The first access is to `columns`.
 bool Transposer::mayAlias(const Columns &columns, Instruction *first,
                           Instruction *second) const {
   if (!first->mayWriteToMemory() && !second->mayWriteToMemory())
     return false;
   auto other = known.find(second);
   if (other != known.end() && other->second.rows == columns.rows) {
-    // The accesses do not conflict if their bytes are disjoint in every row,
-    // and no row overlaps the next row.
+    // Two accesses to columns do not conflict if their bytes are disjoint in
+    // every row, and no row overlaps the next row.
     const Columns &there = other->second;
     std::optional<int64_t> step = steps.find(columns.rows)->second;
     int64_t begin = std::min(columns.offset, there.offset);
@@ -281,7 +281,7 @@ bool Transposer::mayAlias(const Columns &columns, Instruction *first,
   return !call || isModOrRefSet(aliases.getModRefInfo(second, call));
 }
 
-/// Whether the accesses of a run of neighbouring columns can all be moved to
+/// True if the accesses of a run of neighbouring columns can all be moved to
 /// the place of one of them, `to`.
 bool Transposer::canMove(ArrayRef<Column> run, Instruction *to) const {
   for (const Column &column : run) {
@@ -300,7 +300,7 @@ Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
   auto emitLane = [&](Value *value, unsigned lane) -> Value * {
     if (!value->getType()->isVectorTy())
       return value;
-    // If the vector was built from scalars, use the scalar itself.
+    // If the vector was built from scalars, the scalar itself is used.
     Value *scalar = findScalarElement(value, lane);
     return scalar ? scalar
                   : builder.CreateExtractElement(value, uint64_t(lane));
@@ -325,7 +325,7 @@ Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
         if (auto *made = dyn_cast_or_null<Instruction>(value);
             made && made->getParent() == &block)
           here.push_back(made);
-      // Compute the address of the first row as early as possible, because
+      // The address of the first row is computed as early as possible, because
       // accesses to other columns of the matrix use it too.
       if (here.size() > 1)
         return builder.CreatePtrAdd(emitStart(lane),
@@ -421,8 +421,8 @@ void Transposer::emitStores(const Matrix &matrix, ArrayRef<Column> run,
 
 bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
                          bool stores) {
-  // Emit loads at the first gather, where all addresses are available, and
-  // stores at the last scatter, where all stored values are.
+  // Loads are emitted at the first gather, where all addresses are available,
+  // and stores at the last scatter, where all stored values are.
   auto isBefore = [&](const Column &a, const Column &b) {
     return places.lookup(a.call) < places.lookup(b.call);
   };
@@ -430,7 +430,8 @@ bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
                         : llvm::min_element(run, isBefore)->call;
   if (!canMove(run, to))
     return false;
-  // The rows cover the memory of all the columns: merge their metadata.
+  // The row accesses cover the memory of all the columns, so the metadata of
+  // the column accesses are merged.
   AAMDNodes nodes = run.front().call->getAAMetadata();
   for (const Column &column : run)
     nodes = nodes.merge(column.call->getAAMetadata());
@@ -448,7 +449,7 @@ bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
 
 bool Transposer::replaceAll(Intrinsic::ID id) {
   bool stores = id == Intrinsic::masked_scatter;
-  // Order the matrices by their first access in the block, so that the
+  // The matrices are ordered by their first access in the block, so that the
   // generated code does not depend on the values of pointers.
   SmallVector<std::pair<Matrix, SmallVector<Column>>> matrices;
   auto find = [&](const Matrix &matrix) -> SmallVector<Column> & {
@@ -476,8 +477,8 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
   if (matrices.empty())
     return false;
   number();
-  // Give up on blocks with very many memory accesses: the time of the steps
-  // below grows with the square of their number.
+  // Blocks with very many memory accesses are left as they are, because the
+  // time of the steps below grows with the square of their number.
   constexpr size_t most = 8000;
   if (memory.size() > most)
     return false;
@@ -494,9 +495,9 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
       return std::pair(a.offset, places.lookup(a.call)) <
              std::pair(b.offset, places.lookup(b.call));
     });
-    // A column may be accessed several times, with writes in between: combine
-    // the first accesses of neighbouring columns, then the second accesses, and
-    // so on.
+    // A column may be accessed several times, with writes in between. The first
+    // accesses of neighbouring columns are combined, then the second accesses,
+    // and so on.
     SmallVector<SmallVector<Column>> layers;
     size_t times = 0;
     for (size_t i = 0; i < columns.size(); ++i) {

@@ -67,14 +67,15 @@ static bool isGridStride(const Value *value, unsigned depth = 0) {
   });
 }
 
-/// The unroll factor: as many loads as possible, with so few registers that all
-/// threads of a multiprocessor can still be resident.
+/// Chooses the unroll factor: as many loads as possible, with so few registers
+/// that all threads of a multiprocessor can still be resident.
 static unsigned chooseFactor(const BasicBlock &block) {
   unsigned size = 0, loads = 0;
   for (const Instruction &instruction : block) {
     if (isa<PHINode>(instruction) || instruction.isDebugOrPseudoInst())
       continue;
-    // Atomic operations wait for each other anyway, and calls may do anything.
+    // No instruction is moved past atomic operations, which wait for each other
+    // anyway, or past calls, which may do anything.
     if (instruction.isAtomic() || isa<FenceInst>(instruction))
       return 1;
     if (auto *call = dyn_cast<CallBase>(&instruction))
@@ -94,7 +95,7 @@ static unsigned chooseFactor(const BasicBlock &block) {
   return size <= large && loads <= 16 ? 2 : 1;
 }
 
-/// Whether all values of the loop that are used after it go through phis of the
+/// True if all values of the loop that are used after it go through phis of the
 /// exit block (LCSSA form).
 static bool isClosed(const BasicBlock &block, const BasicBlock &exit) {
   return all_of(block, [&](const Instruction &instruction) {
@@ -140,8 +141,8 @@ static std::optional<GridLoop> match(Loop &loop) {
   return std::nullopt;
 }
 
-/// The instructions that must stay in the order of the iterations: writes,
-/// reads after a write in their own iteration, and their users.
+/// Finds the instructions that must stay in the order of the iterations:
+/// writes, reads after a write in their own iteration, and their users.
 static SmallPtrSet<const Instruction *, 16> findLate(const BasicBlock &block) {
   SmallPtrSet<const Instruction *, 16> late;
   bool written = false;
@@ -220,7 +221,7 @@ static void unroll(const GridLoop &loop) {
       loop.stride, ConstantInt::get(loop.stride->getType(), loop.factor - 1));
   // There is at least one iteration, so neither index nor limit is negative.
   // Their sum may overflow to a negative number where the limit is close to the
-  // largest index: compare without a sign.
+  // largest index, so the comparison is unsigned.
   auto comparesLast = [&](Value *index) {
     return builder.CreateICmpULT(builder.CreateAdd(index, reach), limit);
   };
@@ -255,8 +256,8 @@ static void unroll(const GridLoop &loop) {
   for (PHINode &phi : loop.exit->phis())
     phi.addIncoming(lastValue(phi.getIncomingValueForBlock(loop.block)), rest);
 
-  // Mark the unrolled loop and the loop of the remaining iterations, so that
-  // LLVM does not unroll them further.
+  // The unrolled loop and the loop of the remaining iterations are marked, so
+  // that LLVM does not unroll them further.
   MDNode *disable =
       MDNode::get(context, MDString::get(context, "llvm.loop.unroll.disable"));
   for (BasicBlock *block : {many, loop.block}) {

@@ -88,8 +88,8 @@ static Function *declare(Module &module, StringRef name,
 }
 
 /// True if the target library has vector forms of the function that take less
-/// time than those of VectorMath. Its forms of pow for f32 take half as much
-/// time again.
+/// time than those of VectorMath. The library's forms of pow for f32 take half
+/// as much time again.
 static bool hasShorterForms(StringRef name, const TargetLibraryInfo &library) {
   return library.isFunctionVectorizable(name) && name != "llvm.pow.f32" &&
          name != "powf";

@@ -33,7 +33,7 @@ namespace {
 /// An atomic addition whose result is unused.
 struct Addition {
   AtomicRMWInst *op;
-  /// Distance in bytes of the addition's address from its base address.
+  /// The distance in bytes of the addition's address from its base address.
   int64_t offset;
 };
 
@@ -68,7 +68,7 @@ private:
   void combine();
   void combineAt(MutableArrayRef<Addition> additions);
   void emit(ArrayRef<Addition> additions);
-  /// Whether the additions in `waiting` may be moved past `instruction`.
+  /// True if the additions in `waiting` may be moved past `instruction`.
   bool mayPass(Instruction &instruction);
 
   AAResults *aliases = nullptr;
@@ -88,8 +88,8 @@ char VectorizeAtomics::ID = 0;
 
 Pass *mlir::tai::createVectorizeAtomicsPass() { return new VectorizeAtomics(); }
 
-/// The known alignment of an address. LLVM's own analysis does not look through
-/// the cast from the generic to the global address space.
+/// Returns the known alignment of an address. LLVM's own analysis does not look
+/// through the cast from the generic to the global address space.
 static Align getAlignment(Value *pointer, Instruction *at,
                           const DataLayout &layout,
                           AssumptionCache *assumptions = nullptr,
@@ -144,8 +144,8 @@ static bool isCandidate(const AtomicRMWInst &op) {
 bool VectorizeAtomics::mayPass(Instruction &instruction) {
   if (!instruction.mayReadOrWriteMemory())
     return !instruction.mayThrow();
-  // Other atomic additions can be passed, even if they are to the same element:
-  // additions may be reordered.
+  // Other atomic additions can be passed, even if they are to the same element,
+  // because additions may be reordered.
   if (auto *atomic = dyn_cast<AtomicRMWInst>(&instruction))
     if (isCandidate(*atomic))
       return true;
@@ -222,7 +222,8 @@ void VectorizeAtomics::combineAt(MutableArrayRef<Addition> additions) {
 }
 
 void VectorizeAtomics::emit(ArrayRef<Addition> additions) {
-  // At the last addition, all values have been computed.
+  // The combined operation is placed at the last addition, where all values
+  // have been computed.
   Instruction *last = additions.front().op;
   for (const Addition &addition : additions)
     if (last->comesBefore(addition.op))
@@ -248,8 +249,8 @@ void VectorizeAtomics::emit(ArrayRef<Addition> additions) {
       builder.CreateCall(InlineAsm::get(type, text, constraints + ",~{memory}",
                                         /*hasSideEffects=*/true),
                          arguments);
-  // Let the call have the properties of the additions: accesses to other memory
-  // can be moved past it.
+  // The call gets the properties of the additions, so that accesses to other
+  // memory can be moved past it.
   call->setMemoryEffects(MemoryEffects::argMemOnly());
   call->setDoesNotThrow();
   call->addFnAttr(Attribute::WillReturn);

@@ -22,7 +22,8 @@
 
 using namespace llvm;
 
-/// True if memory may be written between a load and a later instruction.
+/// True if memory may be written between a load and an instruction that uses
+/// its value.
 static bool isBehindWrite(const Instruction &load, const Instruction &user) {
   if (load.getParent() != user.getParent())
     return true;
@@ -57,11 +58,11 @@ static void pinMaskedLoads(Function &function) {
   }
 }
 
-/// True if an iteration may write an element and then access it once more, one
-/// of the two under a condition. The vectoriser joins loads, or stores, of
-/// neighbouring elements, which moves stores past later accesses and loads past
-/// earlier ones. Where fields are known to be distinct, it does not look for
-/// accesses to the same element in between.
+/// True if an iteration may write an element and then access it once more,
+/// where one of the two accesses is under a condition. The vectoriser joins
+/// loads, or stores, of neighbouring elements, which moves stores past later
+/// accesses and loads past earlier ones. Where fields are known to be distinct,
+/// the vectoriser does not look for accesses to the same element in between.
 static bool mayReorder(const Loop &loop, const LoopInfo &loops,
                        const DominatorTree &dominators, ScalarEvolution &scev) {
   const BasicBlock *latch = loop.getLoopLatch();

@@ -36,7 +36,8 @@ using namespace mlir::tai;
 /// to f64.
 static constexpr size_t kTermsInF32 = 4;
 /// The maximum number of simultaneous sums for which there are registers in
-/// f64: the adjoint of a layer of a network has a sum for each of its inputs.
+/// f64. The adjoint of a layer of a network, for example, has a sum for each of
+/// its inputs.
 static constexpr size_t kMostSums = 8;
 
 namespace {
@@ -46,8 +47,8 @@ struct Term {
   bool isNegative;
 };
 
-/// The additions by which a loop computes a carried sum: from the phi of the
-/// sum to its value for the next iteration.
+/// The additions by which a loop computes a sum that it carries: from the phi
+/// of the sum to its value for the next iteration.
 struct Chain {
   PHINode *phi = nullptr;
   BinaryOperator *last = nullptr;
@@ -70,7 +71,7 @@ private:
   bool skipRounding(Function &function);
 
   LoopInfo &loops;
-  /// f32 values that this pass has computed by rounding f64 sums.
+  /// The f32 values that this pass has computed by rounding f64 sums.
   SmallPtrSet<Value *, 8> rounded;
   /// Instructions without users, which are deleted at the end: if they were
   /// deleted earlier, a new instruction could get the address of a deleted one.
@@ -219,8 +220,8 @@ Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
   llvm::sort(sums, [](BinaryOperator *a, BinaryOperator *b) {
     return a->comesBefore(b);
   });
-  // Determine for each term whether it is added or subtracted, from the root of
-  // the tree downwards.
+  // For each term of the tree of additions, from its root downwards, this
+  // determines whether the term is added or subtracted.
   SmallDenseMap<Value *, bool> isNegative;
   for (BinaryOperator *sum : llvm::reverse(sums)) {
     bool sign = isNegative.lookup(sum);
@@ -331,7 +332,8 @@ bool SumWidener::widenScalar(Loop &loop, PHINode &phi) {
   if (!exit || !exit->getSinglePredecessor())
     return false;
   std::optional<Chain> chain = findChain(loop, phi, loops);
-  // With fast-math, sums that the program writes have free order, too.
+  // With fast-math, sums that the program itself writes may be reassociated,
+  // too, but are not widened.
   if (!chain || chain->last->hasApproxFunc())
     return false;
   SmallVector<Use *> outside;
@@ -362,7 +364,7 @@ bool SumWidener::widenScalar(Loop &loop, PHINode &phi) {
   return true;
 }
 
-/// Whether a value is, on every path, a constant or a sum rounded by this pass.
+/// True if a value is, on every path, a constant or a sum rounded by this pass.
 /// Collects the phis in between.
 bool SumWidener::isRounded(Value *value, SmallPtrSetImpl<PHINode *> &phis) {
   if (isa<ConstantFP>(value) || rounded.contains(value))
@@ -375,9 +377,9 @@ bool SumWidener::isRounded(Value *value, SmallPtrSetImpl<PHINode *> &phis) {
                       [&](Use &use) { return isRounded(use.get(), phis); });
 }
 
-/// Widens phis that merge rounded sums, so that a value extended to f64 after
-/// them was never rounded; likewise the remainders of loops over single
-/// numbers.
+/// Widens phis that merge sums rounded to f32, so that a value extended to f64
+/// after a phi was never rounded; likewise the phis of remainder loops over
+/// single numbers.
 bool SumWidener::skipRounding(Function &function) {
   bool changed = false;
   SmallVector<FPExtInst *> extensions;

@@ -54,7 +54,8 @@ Value AccessLowering::emitActivation(OpBuilder &builder, Location loc,
   return branch.getResult(0);
 }
 
-/// The casts from floats to integers that the indices are computed from.
+/// Collects the casts from floats to integers from which the indices are
+/// computed.
 static SmallVector<Operation *> findCasts(ValueRange indices) {
   llvm::SetVector<Value> pending(indices.begin(), indices.end());
   SmallVector<Operation *> casts;

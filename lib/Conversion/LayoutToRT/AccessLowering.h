@@ -33,9 +33,9 @@ public:
     used = 0;
   }
 
-  /// The group of the independent loop around an access, if there is one.
-  /// Accesses to arrays, which may alias each other, belong to it too:
-  /// iterations do not communicate through arrays either.
+  /// Returns the access group of the independent loop around an access, if
+  /// there is one. Accesses to arrays, which may alias each other, belong to it
+  /// too: iterations do not communicate through arrays either.
   ArrayAttr get(Operation *op) {
     auto loop = op->getParentOfType<ParallelForOp>();
     if (!loop || !loop->hasAttr(kIndependentAttrName) ||
@@ -71,7 +71,7 @@ public:
       : function(function), fields(fields), groups(groups),
         boundsCheck(boundsCheck), onDevice(onDevice) {}
 
-  /// Looks up the field that an op names.
+  /// Looks up the field that a field access names.
   FailureOr<const FieldInfo *> getField(Operation *op) {
     return fields.lookup(op, getNamedField(op));
   }
@@ -85,11 +85,11 @@ public:
     scopes.groups = groups.get(op);
     return scopes;
   }
-  /// Whether accesses are in device code.
+  /// True if the accesses being lowered are in device code.
   bool isOnDevice() const { return onDevice && isa<KernelOp>(function); }
 
-  /// The address of the first component of the field, and of its tree, built
-  /// once at the top of the function.
+  /// Returns the address of the first component of a field, or of the field's
+  /// tree, built once at the top of the function.
   Value getFieldBase(const FieldInfo &field);
   Value getTreeBase(const FieldInfo &field);
 
@@ -110,8 +110,8 @@ public:
   Value checkRange(Operation *op, ValueRange zeroBased,
                    ArrayRef<OpFoldResult> extents, const Twine &what,
                    ValueRange shown);
-  /// Like checkRange, for the indices of an element of a field and the indices
-  /// of its components.
+  /// Emits the assertions of checkRange for the indices of an element of a
+  /// field and the indices of its components.
   Value checkElement(FieldAccessOpInterface op, const FieldInfo &field,
                      ValueRange zeroBased);
 

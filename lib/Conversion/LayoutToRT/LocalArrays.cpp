@@ -19,7 +19,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The kind of `tai.atomic` that corresponds to an upstream kind.
+/// Returns the kind of `tai.atomic` that corresponds to an upstream kind of
+/// atomic.
 static std::optional<AtomicKind> toAtomicKind(arith::AtomicRMWKind kind) {
   switch (kind) {
   case arith::AtomicRMWKind::addf:
@@ -91,9 +92,9 @@ private:
     }
     auto pointer = LLVM::LLVMPointerType::get(builder.getContext());
     if (isOnStack) {
-      // Allocate at the top of the kernel, wherever `alloc` is, so that the
-      // stack does not grow. An array of an iteration of a parallel loop
-      // becomes a local variable of the loop's function instead.
+      // The array is allocated at the top of the kernel, wherever `alloc` is,
+      // so that the stack does not grow. An array of an iteration of a parallel
+      // loop becomes a local variable of the loop's function instead.
       if (!alloc->getParentOfType<ParallelForOp>())
         builder.setInsertionPointToStart(&function.getFunctionBody().front());
       Value size = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(),
@@ -109,7 +110,8 @@ private:
                .getResult();
   }
 
-  /// The size of the array in bytes: a constant where its shape is static.
+  /// Emits the size of the local array in bytes: a constant where its shape is
+  /// static.
   Value getBytes(OpBuilder &builder, Location loc, Value count) {
     Type i64 = builder.getI64Type();
     if (type.hasStaticShape()) {
@@ -172,7 +174,7 @@ private:
       return;
     }
     // The loop accumulates in a register and needs the element's address after
-    // its end: compute the address at the array's definition.
+    // its end, so the address is computed at the array's definition.
     OpBuilder start(builder.getContext());
     start.setInsertionPointAfterValue(base);
     IndexMath math(start, loc);

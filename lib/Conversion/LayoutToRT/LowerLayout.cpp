@@ -45,7 +45,7 @@ template <typename Op> struct AccessPattern : OpRewritePattern<Op> {
   AccessLowering &lowering;
 };
 
-/// Base of patterns that lower an op which names a field: looks up the field.
+/// Base class of patterns for ops that name a field: looks up the field.
 template <typename Op> struct FieldPattern : AccessPattern<Op> {
   using AccessPattern<Op>::AccessPattern;
 
@@ -64,8 +64,8 @@ private:
 // Elements of fields
 //===----------------------------------------------------------------------===//
 
-/// The digits of the address of an access, for later analyses; null if the
-/// program multiplies parts of an index by factors that could be taken for
+/// Returns the digits of the address of an access, for later analyses; null if
+/// the program multiplies parts of an index by factors that could be taken for
 /// strides of the field's digits. `peeled` are the constants that were
 /// subtracted from the indices.
 static DenseI64ArrayAttr getDigits(MLIRContext *context, const FieldInfo &field,
@@ -108,7 +108,7 @@ static Value emitAccess(OpBuilder &builder, AtomicOp op, Value pointer,
 }
 
 namespace {
-/// An access to an element of a field.
+/// Lowers an access to an element of a field.
 template <typename Op> struct LowerElement final : FieldPattern<Op> {
   using FieldPattern<Op>::FieldPattern;
 
@@ -124,8 +124,8 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
 
     SmallVector<Value> zeroBased = emitZeroBased(rewriter, loc, field, indices);
     Value inRange = lowering.checkElement(op, field, zeroBased);
-    // The loop will do this update itself; the op remains until then, and needs
-    // the check of its indices, too.
+    // The loop will do this update itself. The op remains until then, and its
+    // indices need a check, too.
     if (isDoneByLoop(op)) {
       if (inRange) {
         auto branch = scf::IfOp::create(rewriter, loc, inRange);
@@ -172,9 +172,9 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
 // Cells of sparse levels
 //===----------------------------------------------------------------------===//
 
-/// The sparse level that a topology op refers to: the level `up` levels up, 1
-/// being the innermost, or the nearest sparse level above that. Null where all
-/// cells exist.
+/// Returns the sparse level that a topology op refers to: the level `up` levels
+/// up, 1 being the innermost, or the nearest sparse level above that. Null
+/// where all cells exist.
 static const SparseInfo *findSparse(const FieldInfo &field, int64_t up) {
   int64_t level = int64_t(field.layout.path.levels.size()) - up;
   for (const SparseInfo &sparse : llvm::reverse(field.sparse))
@@ -212,7 +212,7 @@ static Value emitOnCell(OpBuilder &builder, DeactivateOp op,
 }
 
 namespace {
-/// An op that tests or changes whether the cell of an element is active.
+/// Lowers an op that tests or changes whether the cell of an element is active.
 template <typename Op> struct LowerCell final : FieldPattern<Op> {
   using FieldPattern<Op>::FieldPattern;
 
@@ -283,7 +283,8 @@ struct LowerVisitsAll final : FieldPattern<VisitsAllOp> {
 // Elements of arrays
 //===----------------------------------------------------------------------===//
 
-/// The address of the element at `indices` of a row-major, contiguous array.
+/// Emits the address of the element at `indices` of a row-major, contiguous
+/// array.
 static Value emitArrayPointer(OpBuilder &builder, Location loc, Value array,
                               ValueRange indices,
                               ArrayRef<OpFoldResult> extents) {
@@ -307,7 +308,8 @@ static bool isProduct(arith::AtomicRMWKind kind) {
          kind == arith::AtomicRMWKind::muli;
 }
 
-/// The atomic instruction for a kind; LLVM has none for products.
+/// Returns the LLVM atomic instruction for a kind of update; LLVM has none for
+/// products.
 static std::optional<LLVM::AtomicBinOp>
 toAtomicBinOp(arith::AtomicRMWKind kind) {
   switch (kind) {
@@ -365,7 +367,7 @@ static Value emitAccess(OpBuilder &builder, memref::AtomicRMWOp op,
 }
 
 namespace {
-/// An access to an element of an array that the kernel takes.
+/// Lowers an access to an element of an array that the kernel takes.
 template <typename Op> struct LowerArrayElement final : AccessPattern<Op> {
   using AccessPattern<Op>::AccessPattern;
 
@@ -478,8 +480,8 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
     if (!table)
       return;
     FieldTable fields(table);
-    // Functions of one module may be inlined into one another, so their groups
-    // must differ; only a run over the whole module can ensure that.
+    // Functions of one module may be inlined into one another, so their access
+    // groups must differ; only a run over the whole module can ensure that.
     if (isa<ModuleOp>(getOperation()))
       groups.reuse();
     else
@@ -491,8 +493,8 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
       // From here on, accesses in a host function are plain memory accesses.
       if (isa<func::FuncOp>(function))
         markLowered(function);
-      // Always check the indices of a host program: it has few accesses, and no
-      // other check.
+      // The indices of a host program are always checked, because it has few
+      // accesses, and no other check.
       bool isChecked = boundsCheck || isa<func::FuncOp>(function);
       AccessLowering lowering(function, fields, groups, isChecked, onDevice);
       return failed(lowerAccesses(function, fields, lowering, onDevice))

@@ -36,7 +36,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The dimensions of a field, the dimension with the largest stride first.
+/// Returns the dimensions of a field, the dimension with the largest stride
+/// first.
 static SmallVector<unsigned> getMemoryOrder(const FieldInfo &field) {
   SmallVector<uint64_t> smallest(field.layout.shape.size(),
                                  std::numeric_limits<uint64_t>::max());
@@ -50,7 +51,7 @@ static SmallVector<unsigned> getMemoryOrder(const FieldInfo &field) {
   return order;
 }
 
-/// Moves the body of `loop` to `box`, which takes its place.
+/// Moves the body of `loop` to the loop `box`, which replaces it.
 static void moveBody(ParallelForOp loop, ParallelForOp box,
                      ValueRange indices) {
   Block *to = &box.getBody().front();
@@ -71,8 +72,8 @@ static ParallelForOp createBox(OpBuilder &builder, ParallelForOp loop,
   return box;
 }
 
-/// The digits of a field whose level is in [first, last), as dimensions of a
-/// box.
+/// Returns the digits (parts of indices) of a field whose level is in [first,
+/// last), as dimensions of a loop over a box.
 static SmallVector<const IndexDigit *>
 getDigits(const FieldInfo &field, unsigned first, unsigned last) {
   SmallVector<const IndexDigit *> digits;
@@ -168,7 +169,8 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
   moveBody(loop, box, indices);
 }
 
-/// Replaces the field form of `loop` by the box form.
+/// Replaces a loop in the form that visits a field by a loop over a box of
+/// indices.
 static void lower(ParallelForOp loop, const FieldInfo &field) {
   OpBuilder builder(loop);
   IndexMath math(builder, loop.getLoc());

@@ -25,12 +25,13 @@ struct ElementAccess {
   const FieldInfo *field;
   ValueRange indices, components;
   bool stores;
-  /// The innermost serial loop around `op` that is inside the parallel loop.
+  /// Returns the innermost serial loop around `op` that is inside the parallel
+  /// loop.
   Operation *loop = nullptr;
   bool isStrided = true;
 };
 
-/// Whether elements with neighbouring last indices lie side by side.
+/// True if elements with neighbouring last indices lie side by side in memory.
 bool isPacked(const FieldInfo &field) {
   if (field.numComponents != 1)
     return false;
@@ -42,8 +43,8 @@ bool isPacked(const FieldInfo &field) {
          });
 }
 
-/// Whether the address may go up by more than one element, or down, from one
-/// iteration to the next.
+/// True if the address of an access may go up by more than one element, or
+/// down, from one iteration to the next.
 bool isStrided(const ElementAccess &access, Value iv) {
   if (!access.components.empty())
     return true;
@@ -66,7 +67,7 @@ bool isStrided(const ElementAccess &access, Value iv) {
   return false;
 }
 
-/// Whether two accesses may reach the same element of the same storage.
+/// True if two accesses may reach the same element of the same storage.
 bool mayAlias(const ElementAccess &a, const ElementAccess &b) {
   if ((a.field ? a.field->scope : nullptr) !=
       (b.field ? b.field->scope : nullptr))
@@ -84,8 +85,8 @@ bool mayAlias(const ElementAccess &a, const ElementAccess &b) {
   return true;
 }
 
-/// Whether each iteration of the serial loop around the access reaches another
-/// element: its induction variable is a term of an index.
+/// True if each iteration of the serial loop around the access reaches another
+/// element, because the induction variable of this loop is a term of an index.
 bool variesWithRounds(const ElementAccess &access) {
   return llvm::any_of(access.indices, [&](Value index) {
     return llvm::any_of(getIndexExpr(index).terms, [&](const auto &term) {
@@ -97,7 +98,7 @@ bool variesWithRounds(const ElementAccess &access) {
   });
 }
 
-/// Whether a later iteration of the serial loop may access through `other` the
+/// True if a later iteration of the serial loop may access through `other` the
 /// element that `store` writes.
 bool mayAliasAcrossIterations(const ElementAccess &store,
                               const ElementAccess &other) {
@@ -107,7 +108,7 @@ bool mayAliasAcrossIterations(const ElementAccess &store,
          !areProvablyEqual(store.indices, other.indices);
 }
 
-/// Whether an iteration of `loop` executes at most one of the two accesses:
+/// True if an iteration of `loop` executes at most one of the two accesses:
 /// they are in different arms of a branch that each iteration executes once,
 /// such as the branch between interior and border.
 bool excludeEachOther(const ElementAccess &a, const ElementAccess &b,
@@ -141,8 +142,8 @@ SmallVector<ElementAccess> collectAccesses(ParallelForOp loop,
       add(op, store.getFieldAttr(), store.getIndices(), store.getComponents(),
           true);
     else if (auto atomic = dyn_cast<AtomicOp>(op); atomic && !isDoneByLoop(op))
-      // Skip updates that the loop does itself: they go to private partial
-      // sums.
+      // Updates for which the loop keeps a sum are skipped, since they
+      // accumulate to private partial sums.
       add(op, atomic.getFieldAttr(), atomic.getIndices(),
           atomic.getComponents(), true);
     else if (auto load = dyn_cast<memref::LoadOp>(op))
@@ -175,7 +176,7 @@ bool tai::needsOrderWithin(ParallelForOp loop, FieldTable &fields) {
     for (size_t j = 0; j < accesses.size(); ++j) {
       const ElementAccess &other = accesses[j];
       // Inner loops may be unrolled: an access of a later iteration then
-      // follows the store, even if it comes before the store in the body.
+      // follows the store, even if it precedes the store in the body.
       bool isAfter = j > i || mayAliasAcrossIterations(store, other);
       if (isAfter && j != i && (store.isStrided || other.isStrided) &&
           mayAlias(store, other) && !excludeEachOther(store, other, loop))

@@ -12,11 +12,11 @@
 
 namespace mlir::tai {
 
-/// Attribute of a parallel loop whose iterations are independent, but which
+/// The attribute of a parallel loop whose iterations are independent, but which
 /// must not be annotated as parallel for LLVM.
 constexpr llvm::StringLiteral kKeepsOrderAttrName = "tai.keeps_order";
 
-/// Whether an iteration of the loop stores to an element and then accesses an
+/// True if an iteration of the loop stores to an element and then accesses an
 /// element that may be the same, if LLVM could combine accesses of several
 /// iterations into strided (interleaved) groups. In a loop annotated as
 /// parallel, LLVM's vectoriser looks for no dependences at all, not even within

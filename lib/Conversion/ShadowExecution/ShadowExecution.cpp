@@ -38,7 +38,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 static constexpr StringLiteral kTable = "tai_rt_shadows";
-/// Branch weight: results that are not reported for each reported result.
+/// The branch weight of shadow reports: the number of results that are not
+/// reported for each reported result.
 static constexpr uint32_t kRightToWrong = 100;
 
 static bool isFloat(Type type) {
@@ -57,7 +58,7 @@ static Type withElement(Type type, Type element) {
 }
 
 namespace {
-/// The shadows of one function.
+/// Computes shadows (values in higher precision) of the floats in one function.
 class Shadows {
 public:
   Shadows(LLVM::LLVMFuncOp function, RuntimeCalls &runtime,
@@ -69,15 +70,15 @@ public:
   void run();
 
 private:
-  /// An operation whose result is compared with its shadow.
+  /// An operation whose result is compared with its shadow value at run time.
   struct Site {
     Operation *op;
-    /// Whether there may be an error to report: a boolean, or one for each
-    /// lane.
+    /// An i1 that is true if there may be an error to report, or one i1 for
+    /// each lane.
     Value fires;
     Value a, b;
-    /// The result that is compared with its shadow; null for comparisons and
-    /// conversions.
+    /// The result that is compared with its shadow value; null for comparisons
+    /// and conversions.
     Value result;
   };
 
@@ -85,18 +86,18 @@ private:
     Type element = getElementTypeOrSelf(type);
     return withElement(type, element.isF64() ? largest : Type(b.getF64Type()));
   }
-  /// The number of significand bits of a float type.
+  /// Returns the number of significand bits of a float type.
   static unsigned getPrecision(Type type) {
     return APFloat::semanticsPrecision(
         cast<FloatType>(getElementTypeOrSelf(type)).getFloatSemantics());
   }
-  /// The number of bits that a value of the type can have right: if the program
-  /// extends narrower floats to f64, results in f64 have no more correct bits
-  /// than those floats.
+  /// Returns the number of bits that can be right in a value of the type: if
+  /// the program extends narrower floats to f64, results in f64 have no more
+  /// correct bits than those floats.
   unsigned getMeasure(Type type) {
     return std::min(getPrecision(type), mostPrecision);
   }
-  /// A constant of a shadow type.
+  /// Emits a constant of a type in which shadow values are computed.
   Value constant(Type type, const APFloat &value);
   Value constant(Type type, double value) {
     return constant(type, APFloat(value));
@@ -109,7 +110,7 @@ private:
     return convert(value, shadowType(value.getType()));
   }
   Value getShadow(Value value);
-  /// The shadow minus the value, in the shadow's type.
+  /// Emits the shadow minus the value, in the shadow's type.
   Value getError(Value value) {
     return LLVM::FSubOp::create(b, getShadow(value), extend(value));
   }
@@ -143,7 +144,7 @@ private:
   unsigned mostPrecision;
   Value table;
   DenseMap<Value, Value> shadows, off, tainted;
-  /// For each loaded value: its shadow minus the value.
+  /// For each loaded value, its shadow minus the value, as memory holds it.
   DenseMap<Value, Value> parts;
   SmallVector<Site> sites;
 };
@@ -170,7 +171,8 @@ Value Shadows::convert(Value value, Type type) {
   return LLVM::FPTruncOp::create(b, type, value);
 }
 
-/// The shadow of a value. A value without a computed shadow is its own shadow.
+/// Returns the shadow of a value. A value without a computed shadow is its own
+/// shadow.
 Value Shadows::getShadow(Value value) {
   Value &shadow = shadows[value];
   if (shadow)
@@ -184,13 +186,13 @@ Value Shadows::getShadow(Value value) {
   return shadows[value] = made;
 }
 
-/// Emits whether less than half of the bits of a value v with shadow s are
-/// right: |s - v| > 2^-p/2 |s| + least. True for NaN.
+/// Emits the test whether less than half of the bits of a value v with shadow s
+/// are right: |s - v| > 2^-p/2 |s| + least. True for NaN.
 Value Shadows::emitIsOff(Value value) {
   Value shadow = getShadow(value);
   Type type = shadow.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(value.getType()));
-  // The error of a loaded value is in `parts`; compute any other error.
+  // The error of a loaded value is in `parts`; any other error is computed.
   Value error = parts.lookup(value);
   error = LLVM::FAbsOp::create(b, error ? error : getError(value));
   Value most = LLVM::FMulAddOp::create(
@@ -201,7 +203,7 @@ Value Shadows::emitIsOff(Value value) {
   return LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::ugt, error, most);
 }
 
-/// The scalar that all lanes of a value equal, if it is known.
+/// Returns the scalar that all lanes of a vector equal, if it is known.
 static Value getSplat(Value value) {
   auto lanes = value.getDefiningOp<LLVM::ShuffleVectorOp>();
   auto first =
@@ -214,8 +216,8 @@ static Value getSplat(Value value) {
   return first.getValue();
 }
 
-/// Whether operands that the value was computed from, by rounding alone, are
-/// off at the current point; null if they cannot be.
+/// Emits a test whether operands from which the value was computed by rounding
+/// alone differ from their shadows; null if they cannot.
 Value Shadows::emitIsTainted(Value value) {
   if (auto known = tainted.find(value); known != tainted.end())
     return known->second;
@@ -241,8 +243,8 @@ Value Shadows::emitIsTainted(Value value) {
   return tainted[value] = any;
 }
 
-/// The address of the copy of the float at `address`. The copy is followed by
-/// the shadow minus the float.
+/// Emits the address of the copy of the float at `address` in the table of
+/// shadows. The copy is followed by the shadow minus the float.
 Value Shadows::entryOf(Value address) {
   Type i64 = b.getI64Type();
   Value bits = LLVM::PtrToIntOp::create(b, i64, address);
@@ -344,7 +346,7 @@ static std::optional<int32_t> getUpdate(LLVM::AtomicBinOp kind) {
 }
 
 /// Replaces an atomic update by a call of the runtime, which updates the float
-/// and its shadow in one step; compares the new value here.
+/// and its shadow in one step. The new value is compared with its shadow here.
 Value Shadows::makeAtomic(LLVM::AtomicRMWOp op) {
   Value value = op.getVal();
   Type type = value.getType();
@@ -385,8 +387,10 @@ Value Shadows::makeAtomic(LLVM::AtomicRMWOp op) {
   return exact;
 }
 
-/// LLVM 22 cannot compile these operations on f80, whose expansions compare
-/// 80-bit integers: choose the shadow by the result in f64.
+/// Emits the shadow of a minimum, a maximum or a copysign of f64. LLVM 22
+/// cannot compile these operations on the shadow type f80, because their
+/// expansions compare 80-bit integers, so the operands and result in f64 decide
+/// the shadow.
 Value Shadows::makeWideChoice(Operation *op) {
   if (op->getNumOperands() != 2 ||
       !getElementTypeOrSelf(op->getResult(0).getType()).isF64())
@@ -407,8 +411,8 @@ Value Shadows::makeWideChoice(Operation *op) {
                               extend(one));
 }
 
-/// The shadow of the result of an operation that yields a float; null if it
-/// cannot be computed.
+/// Emits the shadow of the result of an operation that yields a float; null if
+/// it cannot be computed.
 Value Shadows::makeShadow(Operation *op) {
   Value result = op->getResult(0);
   Type type = shadowType(result.getType());
@@ -479,7 +483,7 @@ void Shadows::addSite(Operation *op, Value a, Value other) {
   sites.push_back({op, isOff, a, other, result});
 }
 
-/// Whether the site has an error to report, for each lane.
+/// Emits the test, for each lane, whether the site has an error to report.
 Value Shadows::emitFires(const Site &site) {
   if (!site.result)
     return site.fires;
@@ -607,7 +611,7 @@ void Shadows::report(const Site &site) {
   }
 }
 
-/// Emits a branch with a report for each pending site.
+/// Emits, for each pending site, a branch that reports its error.
 void Shadows::flush(Operation *before) {
   b.setInsertionPoint(before);
   for (Site &site : sites) {
@@ -664,8 +668,8 @@ void Shadows::run() {
     }
   }
   for (SmallVector<Operation *> &ops : operations) {
-    // Forget tested values at each block: a value that was tested in one block
-    // may be untested in another.
+    // The list of tested values is cleared at each block, because a value that
+    // was tested in one block may be untested in another.
     tainted.clear();
     for (Operation *op : ops) {
       if (op->hasTrait<OpTrait::IsTerminator>())
@@ -675,7 +679,8 @@ void Shadows::run() {
       flush(next);
     }
   }
-  // All shadows have been computed: pass them to successor blocks.
+  // All shadows of the function have been computed, and are now passed to
+  // successor blocks.
   for (SmallVector<Operation *> &ops : operations) {
     auto branch = dyn_cast<BranchOpInterface>(ops.back());
     if (!branch)

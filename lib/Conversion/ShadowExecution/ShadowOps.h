@@ -19,17 +19,19 @@ namespace mlir::tai {
 /// The name of an operation for users, as in a report.
 std::string nameOperation(Operation *op);
 
-/// The libm function that computes `name` for the wider type of shadows, or "".
+/// Returns the libm function that computes `name` for the wider type of
+/// shadows, or "".
 std::string nameWiderCall(StringRef name, Type type, Type shadow);
 
-/// True for an operation whose only error is rounding: well conditioned.
+/// True for an operation whose only error is the rounding of its result: it is
+/// well conditioned.
 bool onlyRounds(Operation *op);
 
 /// True for an operation that copies values without computing.
 bool onlyMoves(Operation *op);
 
-/// A vector of the shape of `like` with `value` in each lane; `value` itself if
-/// `like` is not a vector.
+/// Emits a vector of the shape of `like` with `value` in each lane; `value`
+/// itself if `like` is not a vector.
 Value emitSplat(ImplicitLocOpBuilder &b, Value value, Type like);
 
 } // namespace mlir::tai

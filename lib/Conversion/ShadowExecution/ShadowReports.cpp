@@ -14,7 +14,7 @@ using namespace mlir::tai;
 /// Branch weight: tests that do not call the runtime for each test that does.
 /// It makes LLVM save registers at the calls rather than before the tests.
 static constexpr uint32_t kSilentToTold = 1000;
-/// The number of sites of a function with counts of their own, which take 64
+/// The most sites of a function that have counts of their own, which take 64
 /// KiB of its stack.
 static constexpr size_t kMostCounts = 2048;
 static constexpr int64_t kMostLanes = 64;
@@ -23,14 +23,16 @@ static constexpr int64_t kMostLanes = 64;
 /// kernel
 /// place".
 Value ShadowReports::describe(Operation *op) {
-  // Functions of loops are named like k.loop0.
+  // Functions made from loops have names like k.loop0, which contain the name
+  // of the kernel.
   StringRef kernel = function.getName();
   if (size_t end = kernel.rfind(".loop"); end != StringRef::npos)
     kernel = kernel.take_front(end);
   std::string text = nameOperation(op) + "\n" + kernel.str() + "\n" +
                      describePlace(op->getLoc());
   text.push_back('\0');
-  // Reserve room in front of the text for the runtime's data (TaiShadowSite).
+  // Room is reserved in front of the text for the runtime's data
+  // (TaiShadowSite).
   text.insert(0, sizeof(TaiShadowSite), '\0');
   LLVM::GlobalOp &global = texts[text];
   if (!global) {
@@ -96,8 +98,9 @@ void ShadowReports::emitIf(Value condition, bool isRare,
   b.setInsertionPointToStart(rest);
 }
 
-/// Whether the error is finite and smaller than the worst error of the site so
-/// far. False for NaN and infinities, whose errors are not finite.
+/// Emits the test whether the error is finite and smaller than the worst error
+/// of the site so far. False for NaN and infinities, whose errors are not
+/// finite.
 Value ShadowReports::emitIsCommon(int32_t count, const Numbers &numbers) {
   Value reach = LLVM::LoadOp::create(
       b, b.getF64Type(), emitMember(count, offsetof(TaiShadowCount, reach)));
@@ -108,7 +111,8 @@ Value ShadowReports::emitIsCommon(int32_t count, const Numbers &numbers) {
                               LLVM::FAbsOp::create(b, numbers.error), most);
 }
 
-/// Whether both operands are at least eight times as large as the result.
+/// Emits the test whether both operands are at least eight times as large as
+/// the result.
 Value ShadowReports::emitCancels(const Numbers &numbers) {
   Value eight = emitSplat(b, LLVM::ConstantOp::create(b, b.getF64FloatAttr(8)),
                           numbers.result.getType());
@@ -150,7 +154,7 @@ void ShadowReports::emitResult(Operation *op, unsigned precision, Value fires,
   emitIf(LLVM::XOrOp::create(b, isCommon, yes), /*isRare=*/true, call);
 }
 
-/// The boolean lanes as the bits of an i64.
+/// Emits the boolean lanes of a vector as the bits of an i64.
 static Value emitMask(ImplicitLocOpBuilder &b, Value lanes) {
   auto type = cast<VectorType>(lanes.getType());
   Value bits = LLVM::BitcastOp::create(
@@ -262,8 +266,8 @@ void ShadowReports::finish() {
 void ShadowReports::restrictEffects(ModuleOp module) {
   MLIRContext *context = module.getContext();
   auto none = LLVM::ModRefInfo::NoModRef, both = LLVM::ModRefInfo::ModRef;
-  // These functions access memory of their arguments and memory of the runtime,
-  // such as all memory reached through the frame.
+  // The reporting functions access memory of their arguments and memory of the
+  // runtime, such as all memory reached through the frame.
   auto effects = LLVM::MemoryEffectsAttr::get(
       context, {none, both, both, none, none, none});
   for (StringRef name : {"tai_rt_shadow_site", "tai_rt_shadow_lanes",

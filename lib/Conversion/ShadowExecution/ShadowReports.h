@@ -43,11 +43,12 @@ public:
   /// follows.
   void emitResult(Operation *op, unsigned precision, Value fires,
                   const Numbers &numbers);
-  /// Reports a scalar comparison or conversion.
+  /// Emits the report on a scalar comparison or conversion whose result differs
+  /// from that of the shadows.
   void emitFlip(Operation *op, unsigned precision, const Numbers &numbers);
 
-  /// Call after the last report: initialises the counts at the entry, and
-  /// passes them to the runtime at returns.
+  /// Initialises the counts at the entry of the function, and passes them to
+  /// the runtime at its returns. Must be called after the last report.
   void finish();
 
   /// Declares the memory that the runtime's functions for reports access.
@@ -58,8 +59,8 @@ private:
     return LLVM::ConstantOp::create(b, b.getIntegerType(bits), value);
   }
   Value describe(Operation *op);
-  /// The number of the counter of a site in the stack frame; nullopt if there
-  /// are too many sites.
+  /// Returns the number of the counter of a site in the stack frame; nullopt if
+  /// there are too many sites.
   std::optional<int32_t> getCount(Value site);
   Value emitMember(int32_t count, size_t offset);
   void emitAdd(int32_t count, size_t offset, Value more);

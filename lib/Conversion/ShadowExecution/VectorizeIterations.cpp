@@ -31,18 +31,19 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The f64 shadows of this many f32 are one register of AVX-512, or two of AVX.
+/// The number of vector lanes: the f64 shadows of this many f32 are one
+/// register of AVX-512, or two of AVX.
 static constexpr int64_t kLanes = 8;
 
 namespace {
-/// A loop whose iterations may become lanes.
+/// A serial loop whose iterations become the lanes of vectors, if possible.
 class Lanes {
 public:
   explicit Lanes(scf::ForOp loop)
       : loop(loop), builder(loop),
         type(VectorType::get({kLanes}, builder.getF32Type())) {}
 
-  /// Whether the loop can be vectorised: each operation has a vector form, and
+  /// True if the loop can be vectorised: each operation has a vector form, and
   /// no iteration depends on another.
   bool check();
   void vectorize();
@@ -60,13 +61,14 @@ private:
   Value getVector(Value value);
   Value getScalar(Value value) { return scalars.lookupOrDefault(value); }
 
-  /// The loop, and the loop over vectors that precedes it.
+  /// The original loop, and the loop over vectors of iterations that precedes
+  /// it.
   scf::ForOp loop, vectorLoop;
   OpBuilder builder;
   VectorType type;
   ArrayRef<LLVM::AccessGroupAttr> groups;
   bool hasVectors = false;
-  /// The increment of an integer, or of an address in bytes, from one iteration
+  /// For integers, and for addresses in bytes, the increment from one iteration
   /// to the next; nullopt if it varies, and for floats.
   DenseMap<Value, std::optional<int64_t>> strides;
   IndexBuilder expressions;
@@ -113,7 +115,8 @@ std::optional<int64_t> Lanes::computeStride(Operation *op) {
   if (llvm::all_of(op->getOperands(),
                    [&](Value operand) { return getStride(operand) == 0; }))
     return 0;
-  // The stride of an address with a base and one index.
+  // The address has a base and one index, from whose strides its stride
+  // follows.
   if (auto address = dyn_cast<LLVM::GEPOp>(op)) {
     if (!address.getElemType().isF32() || op->getNumOperands() != 2)
       return std::nullopt;
@@ -127,7 +130,7 @@ std::optional<int64_t> Lanes::computeStride(Operation *op) {
   }
   if (!op->getResult(0).getType().isIntOrIndex())
     return std::nullopt;
-  // Assume that indices do not overflow in 32 bits; if they did, they would be
+  // Indices are assumed not to overflow in 32 bits; if they did, they would be
   // out of range.
   IndexExpr expr = expressions.get(op->getResult(0));
   Value iv = loop.getInductionVar();
@@ -212,7 +215,7 @@ bool Lanes::check() {
   return !groups.empty() && check(*loop.getBody()) && hasVectors;
 }
 
-/// The vector of a float or a boolean for all lanes.
+/// Returns the vector that holds a float or a boolean for all lanes.
 Value Lanes::getVector(Value value) {
   Value &vector = vectors[value];
   if (vector)
@@ -258,7 +261,8 @@ void Lanes::emit(Operation &op) {
       if (from.empty())
         continue;
       OpBuilder::InsertionGuard guard(builder);
-      // The arms do not share vectors that are made in one of them.
+      // The two arms of a branch do not share vectors that are made in one of
+      // them.
       DenseMap<Value, Value> before = vectors;
       if (!to.front().empty())
         to.front().back().erase();

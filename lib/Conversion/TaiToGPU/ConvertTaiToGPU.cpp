@@ -28,7 +28,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// True if code writes through an address derived from `address`.
+/// True if the function writes through an address derived from `address`.
 static bool isWritten(Value address) {
   SmallVector<Value> work{address};
   llvm::DenseSet<Value> seen;
@@ -181,13 +181,13 @@ LogicalResult KernelOffload::run() {
       bytes = math.mul(bytes, extent);
     for (int64_t d = extents.size(); d != type.getRank(); ++d)
       bytes = math.mul(bytes, type.getDimSize(d));
-    // Assume for now that the kernel writes the array: its uses, which are
-    // replaced later, decide.
+    // The kernel is assumed to write the array for now. This is decided later
+    // from the array's uses, which are replaced.
     return runtime.tai_rt_device_array(
         b, loc, frame, address, math.toI64(bytes), runtime.i32(b, loc, 1));
   };
-  // Find countless loops first: once arguments are replaced, extents of arrays
-  // look like integer arguments.
+  // Countless loops (too many iterations for a device) are found first: once
+  // arguments are replaced, extents of arrays look like integer arguments.
   lowering.countless.clear();
   kernel.walk([&](ParallelForOp loop) {
     if (mayBeCountless(loop))
@@ -196,7 +196,7 @@ LogicalResult KernelOffload::run() {
   if (failed(replaceArguments(kernel, frame, builder, runtime, arrayAddress)))
     return failure();
   SmallVector<LLVM::CallOp> arrays(entry->getOps<LLVM::CallOp>());
-  // An op that marks the start: all ops of the kernel follow it.
+  // This op marks the start of the kernel: all ops of the kernel follow it.
   auto start = LLVM::ZeroOp::create(builder, loc, runtime.getPointerType());
   entry->getOperations().splice(entry->end(), body.getOperations());
   for (LLVM::CallOp array : arrays) {
@@ -236,7 +236,7 @@ LogicalResult KernelOffload::run() {
   return success();
 }
 
-/// Declares the functions that device code calls, in the device module as they
+/// Declares in the device module the functions that device code calls, as they
 /// are declared for the host.
 static void declareCallees(ModuleOp module, gpu::GPUModuleOp kernels) {
   SymbolTable known(kernels), outer(module);

@@ -28,15 +28,15 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// A loop with at most this many operations, some tens of milliseconds of one
-/// thread, does not poll.
+/// A loop with at most this many operations, which take some tens of
+/// milliseconds of one thread, does not poll for a request to stop.
 static constexpr uint64_t kLongLoop = 20000000;
 /// The number of operations between two polls, if the loop runs that long.
 static constexpr uint64_t kBetween = 4096;
 /// The number of iterations between two polls of a loop whose iterations have
 /// an unknown length.
 static constexpr uint64_t kIterationsBetween = 16;
-/// The cost of a loop that may be long, as part of the body of another loop.
+/// The cost, as part of the body of another loop, of a loop that may be long.
 static constexpr uint64_t kUnknown = UINT64_MAX;
 
 namespace {
@@ -45,10 +45,11 @@ public:
   LoopPolls(LLVM::LLVMFuncOp function, bool runsAlone, RuntimeCalls &runtime)
       : function(function), runsAlone(runsAlone), runtime(runtime) {}
 
-  /// The largest number of operations that one run of the block executes.
+  /// Returns the largest number of operations that one run of the block
+  /// executes, and inserts polls into its loops.
   uint64_t visit(Block &block);
-  /// Inserts polls into the loop over the iterations of a thread, and into
-  /// loops inside of it.
+  /// Inserts polls for a request to stop into the loop over the iterations of a
+  /// thread, and into loops inside of it.
   void visitIterations(scf::ForOp loop, bool areCountless);
 
 private:
@@ -62,7 +63,8 @@ private:
 } // namespace
 
 void LoopPolls::poll(Block &body, Location loc, uint64_t perIteration) {
-  // If an iteration may be long, a loop inside it polls as well.
+  // If an iteration may be long, a loop inside it polls as well, so this loop
+  // need not poll in each iteration.
   uint64_t every =
       perIteration == kUnknown
           ? kIterationsBetween
@@ -83,7 +85,8 @@ uint64_t LoopPolls::visitLoop(scf::ForOp loop) {
       return all;
   } else if (!runsAlone && (perIteration != kUnknown ||
                             (count && count->ule(kIterationsBetween)))) {
-    // This loop does not poll: a loop around it or a loop inside of it does.
+    // This loop does not poll, because a loop around it or a loop inside of it
+    // does.
     return kUnknown;
   }
   poll(*loop.getBody(), loop.getLoc(), perIteration);
@@ -92,8 +95,8 @@ uint64_t LoopPolls::visitLoop(scf::ForOp loop) {
 
 uint64_t LoopPolls::visit(Block &block) {
   uint64_t sum = 0;
-  // Advance the iterator early, since polls are inserted between the operations
-  // of the block.
+  // The iterator is advanced early, since polls are inserted between the
+  // operations of the block.
   for (Operation &op : llvm::make_early_inc_range(block)) {
     uint64_t own = 1;
     if (auto loop = dyn_cast<scf::ForOp>(op)) {
@@ -120,7 +123,8 @@ void LoopPolls::visitIterations(scf::ForOp loop, bool areCountless) {
     poll(*loop.getBody(), loop.getLoc(), perIteration);
 }
 
-/// Whether a bound is a 64-bit integer that was not extended from fewer bits.
+/// True if a loop bound is a 64-bit integer that was not extended from fewer
+/// bits.
 static bool isLong(Value bound) {
   auto cast = bound.getDefiningOp<arith::IndexCastOp>();
   if (!cast || !cast.getIn().getType().isInteger(64))
@@ -130,7 +134,8 @@ static bool isLong(Value bound) {
 }
 
 bool tai::mayBeCountless(ParallelForOp loop) {
-  // A number of iterations that takes a whole device hours.
+  // A number of iterations that takes a GPU hours even if all of its threads
+  // work.
   constexpr uint64_t kCountless = uint64_t(1) << 40;
   uint64_t known = 1;
   for (auto [lower, upper] :

@@ -25,7 +25,8 @@ using namespace mlir;
 using namespace mlir::tai;
 using runtime::DeviceAccess;
 
-/// The maximum number of accesses to analyse, which bounds the time.
+/// The maximum number of memory accesses to analyse, which bounds the time of
+/// the analysis.
 static constexpr size_t kMostAccesses = 96;
 
 static int64_t getSize(Type type) {
@@ -62,8 +63,8 @@ void LoopAccesses::addSlot(Value value) {
 void LoopAccesses::visit(Operation *op) {
   for (Value operand : op->getOperands())
     addSlot(operand);
-  // Skip an update that the loop does itself: addSum records the target of its
-  // sum.
+  // An update that the loop does itself is skipped, because addSum records the
+  // target of its sum.
   if (isDoneByLoop(op))
     return;
   auto digits = op->getAttrOfType<DenseI64ArrayAttr>(kDigitsAttrName);
@@ -101,7 +102,8 @@ void LoopAccesses::visit(Operation *op) {
     isKnown = false;
 }
 
-/// Widens the access to `count` places, each `step` bytes after the one before.
+/// Widens the access to `count` places, each `step` bytes after the previous
+/// one.
 void LoopAccesses::widen(Address &address, int64_t count, int64_t step) {
   if (count <= 1 || step == 0)
     return;
@@ -124,8 +126,8 @@ static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
     lower = getConstantIntValue(serial.getLowerBound());
     upper = getConstantIntValue(serial.getUpperBound());
     step = getConstantIntValue(serial.getStep()).value_or(0);
-    // As unsigned bounds, the lower one may be greater than the upper one if
-    // either is negative.
+    // As unsigned numbers, the lower bound may be greater than the upper bound
+    // if either is negative.
     if (serial.getUnsignedCmp() && lower && upper && (*lower < 0 || *upper < 0))
       return std::nullopt;
   } else if (auto inner = dyn_cast<ParallelForOp>(parent)) {
@@ -142,7 +144,7 @@ static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
 
 bool LoopAccesses::addTerms(Address &address, Value value, int64_t scale) {
   IndexExpr expr = expressions.get(value);
-  // Give up on sums in 8 or 16 bits, which may wrap around.
+  // Sums in 8 or 16 bits, which may wrap around, stop the analysis.
   if (expr.width < 32)
     return false;
   DeviceAccess &access = address.access;
@@ -178,8 +180,8 @@ bool LoopAccesses::addTerms(Address &address, Value value, int64_t scale) {
       access.offset += stride * trips->second;
       widen(address, trips->first, stride * step);
     } else if (term == value || !addTerms(address, term, stride)) {
-      // Give up on any other term, a narrow sum that may wrap before it is
-      // extended.
+      // Any other term stops the analysis, because it is a narrow sum that may
+      // wrap before it is extended.
       return false;
     }
   }
@@ -361,7 +363,8 @@ void LoopAccesses::addSum(Value target, Type type, bool isAddition,
     widen(addresses.back(), threads, getSize(storage));
 }
 
-/// Replaces captured values of the address by the numbers of their parameters.
+/// Replaces captured values in the address of an access by the numbers of the
+/// parameters that hold them.
 bool LoopAccesses::complete(Address &address, ParameterFinder getParameter) {
   DeviceAccess &access = address.access;
   auto slot = getParameter(address.base);
@@ -374,8 +377,8 @@ bool LoopAccesses::complete(Address &address, ParameterFinder getParameter) {
     if (!term)
       return false;
     Type type = value.getType();
-    // Give up on an i1, which is not sign-extended, contrary to the values in
-    // `terms`.
+    // An i1 stops the analysis, because it is not sign-extended, contrary to
+    // the values in `terms`.
     int64_t bits = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
     if (bits == 1 || bits > 64)
       return false;
@@ -389,8 +392,8 @@ DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
     return {};
   runtime::FunctionAccesses result;
   result.isGridStride = isGridStride;
-  // For the order of memory accesses, a warp that synchronises before and after
-  // the loop acts like one thread.
+  // For the order of memory accesses, a loop in one warp that synchronises
+  // before and after the loop acts like one thread.
   bool inWarp = loop.getInWarp();
   bool isSingle = inWarp && box && effects != Effects::Sums;
   if (isSingle)

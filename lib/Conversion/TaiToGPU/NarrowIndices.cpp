@@ -33,7 +33,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The limit of a size in bytes: sums of a few sizes fit i32.
+/// The limit of the size of a tree in bytes: sums of a few sizes fit i32.
 static constexpr int64_t kMostBytes = int64_t(1) << 30;
 
 /// How far the first index of a field may be from zero, and an index that is
@@ -78,8 +78,8 @@ private:
   bool fits(scf::ForOp loop);
   bool fits(ParallelForOp loop);
 
-  /// Fails the proof: returns false, and emits a remark with the reason if
-  /// remarks are wanted.
+  /// Fails the proof that 32 bits are enough: returns false, and emits a remark
+  /// with the reason if remarks are wanted.
   bool fail(Operation *op, StringRef reason) {
     if (remarks)
       op->emitRemark("indices have 64 bits: ") << reason;
@@ -125,12 +125,14 @@ ConstantIntRanges Proof::getWhileRange(scf::WhileOp loop,
   return range;
 }
 
-/// The range of a value, assuming that all indices computed earlier fit.
+/// Returns the range of a value, assuming that all indices computed earlier fit
+/// 32 bits.
 std::optional<ConstantIntRanges> Proof::getInductiveRange(Value value) {
   if (!value.getType().isIntOrIndex())
     return std::nullopt;
   Operation *op = value.getDefiningOp();
-  // A tree has no more cells than bytes.
+  // A level has no more cells than its tree has bytes, so numbers of cells have
+  // this range.
   if (isa_and_present<ActiveCellsOp, LengthOp, AppendOp>(op))
     return value.getType().isIndex() ? std::optional(getRange(0, kMostBytes))
                                      : std::nullopt;
@@ -154,8 +156,8 @@ std::optional<ConstantIntRanges> Proof::getInductiveRange(Value value) {
   return std::nullopt;
 }
 
-/// True if the field has few enough cells, and its first indices are not far
-/// from zero.
+/// True if the field has few enough cells for 32 bits, and its first indices
+/// are not far from zero.
 bool Proof::fits(FieldOp field) {
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   if (failed(layout))
@@ -179,8 +181,8 @@ bool Proof::fits(Value index) {
   ConstantIntRanges range = ranges.get(index);
   if (range.smin().isSignedIntN(32) && range.smax().isSignedIntN(32))
     return true;
-  // Allow a subscript to exceed 32 bits by a small constant, as in x[t + 1] for
-  // any t of type i32.
+  // A subscript may exceed 32 bits by a small constant, as in x[t + 1] for any
+  // t of type i32.
   return -kMostShift <= range.smin().getSExtValue() -
                             std::numeric_limits<int32_t>::min() &&
          range.smax().getSExtValue() - std::numeric_limits<int32_t>::max() <=
@@ -208,8 +210,8 @@ bool Proof::isSubscript(Value index) {
   });
 }
 
-/// True if the operation may depend on bits of an index above the low 32: the
-/// high bits of a negative index that is read as unsigned, say.
+/// True if the result of the operation may depend on bits of an index above the
+/// low 32: on the high bits of a negative index that is read as unsigned, say.
 bool Proof::readsAllBits(Operation *op) {
   auto isNegative = [&](Value value) {
     return getElementTypeOrSelf(value).isIndex() &&
@@ -271,8 +273,8 @@ bool Proof::run() {
     return llvm::all_of(values, [&](Value value) { return fits(value); });
   };
   for (auto kernel : module.getOps<KernelOp>()) {
-    // Give up on a kernel with arrays, whose sizes are known only at the
-    // launch.
+    // A kernel with arrays is not narrowed, because their sizes are known only
+    // at the launch.
     if (llvm::any_of(kernel.getArgumentTypes(), llvm::IsaPred<MemRefType>))
       return fail(kernel, "how large an array is, its launch says");
     WalkResult result = kernel->walk([&](Operation *op) {
@@ -303,7 +305,7 @@ struct NarrowIndices : tai::impl::NarrowIndicesBase<NarrowIndices> {
 
   void runOnOperation() override {
     ModuleOp module = getOperation();
-    // Leave modules without kernels alone.
+    // Modules without kernels are left as they are.
     if (module.getOps<KernelOp>().empty())
       return;
     if (Proof(module, remarks).run())

@@ -82,7 +82,7 @@ static Value createScratch(OpBuilder &builder, Location loc, Value frame,
 }
 
 namespace {
-/// Ops of one block that one thread of the device runs, in order.
+/// Consecutive ops of one block that one thread of the device runs, in order.
 struct Group {
   SmallVector<Operation *> ops;
 };
@@ -94,7 +94,8 @@ public:
 
   /// Assigns the ops of a block, given in order, to groups.
   void assign(ArrayRef<Operation *> ops);
-  /// Wraps each group into a loop of one iteration.
+  /// Wraps each group of ops into a loop of one iteration, which becomes a
+  /// device function.
   LogicalResult emit();
 
 private:
@@ -106,15 +107,15 @@ private:
   Value frame;
   DeviceLowering &lowering;
   std::vector<std::unique_ptr<Group>> groups;
-  /// For each op that runs on the device, its group.
+  /// For each op that runs on the device, its group of ops.
   llvm::DenseMap<Operation *, Group *> groupOf;
   /// The last group if further ops can join it, else null.
   Group *open = nullptr;
 };
 } // namespace
 
-/// True if `op` does more than arithmetic. Calls of the host for device memory
-/// do not count.
+/// True if `op` does more than arithmetic. Calls by which the host gets device
+/// memory do not count.
 static bool hasEffects(Operation *op) {
   if (auto call = dyn_cast<LLVM::CallOp>(op))
     if (call.getCallee() && call.getCallee()->starts_with("tai_rt_device_"))
@@ -136,8 +137,8 @@ bool SerialOffload::runsOnDevice(Operation *op) {
       .wasInterrupted();
 }
 
-/// An earlier group that `op`, if it is arithmetic on values of that group, can
-/// join, which saves a launch.
+/// Returns an earlier group of device ops that `op` can join, which saves a
+/// launch, if it is arithmetic on values of that group.
 Group *SerialOffload::findEarlier(Operation *op) {
   if (hasEffects(op) || op->getNumRegions() != 0)
     return nullptr;
@@ -207,7 +208,7 @@ LogicalResult SerialOffload::emit(Group &group) {
     Operation *ancestor = last->getBlock()->findAncestorOpInBlock(*user);
     return !ancestor || groupOf.lookup(ancestor) != &group;
   };
-  // Results of the group that other code uses go through memory.
+  // Results of the group that other code uses are passed through memory.
   SmallVector<Value> handedOn;
   for (Operation *op : group.ops)
     for (Value result : op->getResults())
@@ -268,7 +269,7 @@ static bool hasFixedSize(Type type) {
   return type.isIntOrIndexOrFloat() || isa<LLVM::LLVMPointerType>(type);
 }
 
-/// The size in bytes of an array that several parts of a kernel share.
+/// Returns the size in bytes of an array that several parts of a kernel share.
 static FailureOr<int64_t> getSharedBytes(LLVM::AllocaOp array,
                                          const DataLayout &layout) {
   if (!hasFixedSize(array.getElemType()))
@@ -384,7 +385,8 @@ void tai::fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
   });
   for (UnrealizedConversionCastOp value : values) {
     if (!value->use_empty()) {
-      // Fetch as late as possible: a fetch waits for all work queued before it.
+      // Values are fetched from the device as late as possible, because a fetch
+      // waits for all work queued before it.
       Operation *first = nullptr;
       for (Operation *user : value->getUsers()) {
         Operation *here = value->getBlock()->findAncestorOpInBlock(*user);

@@ -27,15 +27,16 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Threads of a block, as given in the launch in the IR; the runtime may choose
-/// another number.
+/// The number of threads of a block, as given in the launch in the IR; the
+/// runtime may choose another number.
 constexpr int64_t kBlockDim = 256;
 
 //===----------------------------------------------------------------------===//
 // Iterations
 //===----------------------------------------------------------------------===//
 
-/// The number of this thread in the grid, and the number of threads.
+/// Emits the number of the current thread in the grid, and the number of
+/// threads.
 static std::pair<Value, Value> emitThread(OpBuilder &builder, Location loc) {
   IndexMath math(builder, loc);
   auto x = gpu::Dimension::x;
@@ -47,7 +48,8 @@ static std::pair<Value, Value> emitThread(OpBuilder &builder, Location loc) {
 }
 
 namespace {
-/// The loop over the iterations of a thread, and the indices in it.
+/// The loop over the iterations of one device thread, and the loop indices in
+/// it.
 struct Iterations {
   scf::ForOp loop;
   SmallVector<Value> indices;
@@ -65,7 +67,7 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
   IndexMath math(builder, loc);
   SmallVector<Value> extents;
   Value count = math.constant(1);
-  // Create constants anew in the function of the loop; other values are
+  // Constants are created anew in the function of the loop; other values are
   // captured later.
   auto inside = [&](Value value) -> Value {
     if (auto constant = getConstantIntValue(value))
@@ -98,8 +100,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
                       arith::ConstantOp::create(
                           builder, loc, getLaneStart(sum.kind, sum.kept)),
                       sum.slot);
-    // The virtual thread is a lane of a chunk of iterations. Chunks beyond the
-    // last one are empty.
+    // In this order, a virtual thread is a lane of a chunk of iterations.
+    // Chunks beyond the last one are empty.
     IndexMath in(builder, loc);
     Value number = standIns.getInductionVar();
     Value length = emitChunkLength(builder, loc, count);
@@ -168,7 +170,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Turns the values of the host part that a function uses into parameters.
+/// Turns the values of the host part that a device function uses into
+/// parameters of the function.
 class Parameters {
 public:
   Parameters(LLVM::LLVMFuncOp function, Operation *launch,
@@ -191,7 +194,8 @@ public:
       return std::nullopt;
     return std::pair(found->second, distance);
   }
-  /// The values of the host part that the launch passes as parameters.
+  /// The values of the host part that the launch passes to the device function
+  /// as parameters.
   ArrayRef<Value> getOperands() const { return operands; }
 
 private:
@@ -262,7 +266,7 @@ static std::pair<Value, int64_t> getOrigin(Value address) {
   return {address, distance};
 }
 
-/// The known alignment of an address in the host part.
+/// Returns the known alignment of an address in the host part.
 static int64_t getAddressAlignment(Value address) {
   auto [origin, distance] = getOrigin(address);
   Operation *definition = origin.getDefiningOp();
@@ -279,8 +283,9 @@ void Parameters::collectAddress(Value outer) {
   addresses[origin].push_back({distance, outer});
 }
 
-/// The first address that is at most 128 bytes before `outer`: addresses of
-/// fields in one cell share a parameter, so that LLVM knows their distance.
+/// Returns the first address that is at most 128 bytes before `outer`:
+/// addresses of fields in one cell share a parameter, so that LLVM knows their
+/// distance.
 Value Parameters::findNeighbour(Value outer) {
   constexpr int64_t close = 128;
   auto [origin, distance] = getOrigin(outer);
@@ -387,7 +392,8 @@ static void markInvariantLoads(LLVM::LLVMFuncOp function, ArrayRef<Sum> sums) {
 // Launches
 //===----------------------------------------------------------------------===//
 
-/// The number of iterations if the host knows or can predict it, else null.
+/// Emits the number of iterations of the loop if the host knows or can predict
+/// it, else returns null.
 static Value emitCount(OpBuilder &builder, ParallelForOp loop) {
   IndexMath math(builder, loop.getLoc());
   Value count = math.constant(1);
@@ -427,7 +433,7 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
     int64_t size = *getConstantIntValue(threads);
     blocks = math.div(math.add(count, math.constant(size - 1)), size);
     if (!constant)
-      // An empty loop must not look like a loop of unknown length.
+      // A loop without iterations must not look like a loop of unknown length.
       blocks = math.max(blocks, one);
   }
   auto kernel =
@@ -439,8 +445,8 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
                             /*dynamicSharedMemorySize=*/Value(), operands);
 }
 
-/// The trees in which code below `op` activates or deactivates cells, and
-/// whether it deactivates any.
+/// Returns the trees in which code below `op` activates or deactivates cells,
+/// and for each whether it deactivates any.
 static llvm::MapVector<Value, bool> findActivated(Operation *op) {
   llvm::MapVector<Value, bool> trees;
   op->walk([&](Operation *inner) {
@@ -450,7 +456,7 @@ static llvm::MapVector<Value, bool> findActivated(Operation *op) {
   return trees;
 }
 
-/// Whether one thread runs the whole loop.
+/// True if one thread runs the whole loop.
 static bool runsAlone(ParallelForOp loop) {
   for (auto [lower, upper] :
        llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
@@ -495,8 +501,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   if (loop.getInWarp())
     function.setConvergent(true);
   Block *entry = function.addEntryBlock(builder);
-  // The first argument is a placeholder for the device state until its uses are
-  // known.
+  // The first argument of the function is a placeholder for the device state
+  // until it is known whether the function uses it.
   Value state = entry->addArgument(runtime.getPointerType(), loc);
   builder.setInsertionPointToEnd(entry);
   auto ret = LLVM::ReturnOp::create(builder, loc, ValueRange());
@@ -538,7 +544,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
 
   SmallVector<Value> operands(parameters.getOperands());
   bool usesState = !state.use_empty();
-  // Numbers of parameters start with the device state if the function uses it.
+  // The numbering of parameters includes the device state if the function uses
+  // it.
   auto getParameter = [&](Value outer) {
     auto number = parameters.find(outer);
     if (number)

@@ -25,9 +25,9 @@ using namespace mlir::tai;
 using runtime::DeviceAccess;
 using runtime::TileSite;
 
-/// A loop with more accesses than this is not taken for a stencil.
+/// A loop with more memory accesses than this is not taken for a stencil.
 static constexpr size_t kMostSites = 64;
-/// Tiles have at most this many dimensions.
+/// The largest number of dimensions of a tile.
 static constexpr size_t kMostDimensions = 3;
 
 bool LoopAccesses::canRunInTiles() {
@@ -82,8 +82,8 @@ void LoopAccesses::addSite(Operation *op, const Address &address, Value pointer,
   sites.push_back(std::move(site));
 }
 
-/// Analyses an index that is a sum of digits times their strides. At most one
-/// digit may follow each index of the loop.
+/// Analyses an index that is a sum of digits (parts of loop indices) times
+/// their strides. At most one digit may follow each index of the loop.
 bool LoopAccesses::addRegularIndex(Site &site, Value index, int64_t size,
                                    ArrayRef<int64_t> digits) {
   // The digits of the address seen so far; a digit that varies may occur only
@@ -166,7 +166,8 @@ LLVM::LLVMFuncOp tai::makeTileFunction(LLVM::LLVMFuncOp function,
                                               builder.getIndexType(), argument);
     mapping.lookup(index).replaceAllUsesWith(number);
   }
-  // The remaining users of the induction variable have no uses themselves.
+  // The remaining users of the induction variable have no uses themselves, so
+  // it may be replaced by any value.
   loop.getInductionVar().replaceAllUsesWith(loop.getLowerBound());
   Block *body = loop.getBody();
   body->getTerminator()->erase();

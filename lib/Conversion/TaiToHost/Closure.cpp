@@ -59,8 +59,8 @@ static bool isVectorOfScalars(Operation *op) {
          op->getNumRegions() == 0 && isMemoryEffectFree(op);
 }
 
-/// Whether `op` adds or casts integers, other than the address of an array,
-/// which is replaced later, at its uses.
+/// True if `op` adds or casts integers and is not part of the address of an
+/// array, which is replaced later, at its uses.
 static bool isIntegerSum(Operation *op) {
   return isa<arith::AddIOp, arith::SubIOp, arith::IndexCastOp, arith::ExtSIOp>(
              op) &&
@@ -85,8 +85,8 @@ FailureOr<Value> Closure::get(Value outer) {
     value = entry.clone(*definition)->getResult(0);
     return value;
   }
-  // Recompute vectors of captured scalars, and sums of integers: LLVM must see
-  // the constant distance of slots such as `t` and `t + 1`.
+  // Vectors of captured scalars and sums of integers are recomputed, because
+  // LLVM must see the constant distance of slots such as `t` and `t + 1`.
   if (definition &&
       (isVectorOfScalars(definition) || isIntegerSum(definition))) {
     IRMapping operands;
@@ -239,7 +239,7 @@ LogicalResult tai::replaceArguments(FunctionOpInterface function, Value frame,
   return success();
 }
 
-/// Stores returned values to the slots of the frame.
+/// Emits stores of the returned values to the slots of the frame.
 static void emitResults(ValueRange values, Location loc, Value frame,
                         OpBuilder &builder, RuntimeCalls &runtime) {
   if (values.empty())

@@ -41,8 +41,8 @@ ModuleLowering::ModuleLowering(ModuleOp module, bool debug, Operation *table)
   addCallees(module, functions);
 }
 
-/// True if the launch can fail in one of the functions or in a function that
-/// the runtime runs for it.
+/// True if the launch can fail in one of the functions, or in a function that
+/// the runtime calls for it.
 static bool canFail(ArrayRef<LLVM::LLVMFuncOp> functions) {
   for (LLVM::LLVMFuncOp function : functions) {
     WalkResult result = function.walk([](LLVM::CallOp call) {
@@ -114,8 +114,8 @@ LogicalResult tai::finishModule(ModuleLowering &lowering) {
     if (lowering.functions.contains(function) &&
         failed(lowerHostFunction(function, lowering)))
       return failure();
-  // No op may name a field any more, since the runtime owns the storage of
-  // fields.
+  // After the lowering no op may name a field any more, since the runtime owns
+  // the storage of fields.
   WalkResult accesses = module.walk([](Operation *op) {
     if (!isa_and_present<TaiDialect>(op->getDialect()) ||
         !op->getAttrOfType<FlatSymbolRefAttr>("field"))

@@ -195,8 +195,8 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
       return success();
     }
     if (uses) {
-      // Among the remaining calls, report a recursive one, if any, rather than
-      // a call from outside.
+      // Among the remaining calls of the helper, a recursive call is reported
+      // if there is one, rather than a call from outside.
       Operation *user = uses->begin()->getUser();
       for (SymbolTable::SymbolUse use : *uses)
         if (function->isProperAncestor(use.getUser()))
@@ -240,8 +240,9 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
   replaceReturn(ret, loc, frame, builder, runtime);
 
   upgradeFormerChecks(host);
-  // Lower leaf ops first, while the program is one function: addresses and
-  // locals are then pointers, which the functions split off below can capture.
+  // Leaf ops are lowered first, while the program is one function: addresses
+  // and locals are then pointers, which the functions split off below can
+  // capture.
   if (failed(lowerLeafOps(host, lowering)))
     return failure();
   SmallVector<Operation *> ops;
@@ -250,7 +251,8 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
             ParallelForOp, func::CallOp>(op))
       ops.push_back(op);
   });
-  // Lower inner ops first: the walk above collected them in post-order.
+  // Inner ops are lowered first: the walk above collected the ops in
+  // post-order.
   unsigned numRegions = 0;
   for (Operation *op : ops) {
     LogicalResult result =

@@ -19,13 +19,13 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// State shared by the lowerings in one function.
+/// State shared by the lowerings of leaf ops in one function.
 struct LeafLowering {
   LeafLowering(LLVM::LLVMFuncOp function, ModuleLowering &module)
       : function(function), frame(function.getArgument(0)), module(module),
         runtime(module.runtime) {}
 
-  /// The address of a tree, loaded once at the top of the function.
+  /// Returns the address of a tree, loaded once at the top of the function.
   Value getTree(StringAttr tree, Location loc);
 
   LLVM::LLVMFuncOp function;
@@ -85,7 +85,7 @@ struct LowerLocal final : LeafPattern<AllocaOp> {
   }
 };
 
-/// Lowers a stack with its pushes and pops.
+/// Lowers the creation of a stack together with its pushes and pops.
 struct LowerStack final : LeafPattern<StackCreateOp> {
   using LeafPattern::LeafPattern;
 

@@ -24,11 +24,12 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// From this many rows on, a partition is made of whole rows: enough for an
-/// even distribution over the cores of a large machine.
+/// From this many rows of iterations on, a partition is made of whole rows:
+/// enough for an even distribution over the cores of a large machine.
 constexpr int64_t kManyRows = 64;
 
-/// The minimum length of a row that ends a block of a sum.
+/// The minimum length of a row of iterations (along the last dimension) that
+/// ends a block of a sum.
 constexpr int64_t kShortRow = 32;
 
 namespace {
@@ -44,7 +45,8 @@ struct Box {
   }
   size_t rank() const { return extent.size(); }
 
-  /// Product of the extents of the first `count` dimensions, if constant.
+  /// Returns the product of the extents of the first `count` dimensions, if
+  /// constant.
   std::optional<int64_t> constantCount(size_t count) const {
     int64_t product = 1;
     for (Value value : ArrayRef(extent).take_front(count)) {
@@ -90,7 +92,7 @@ static scf::ForOp createFor(OpBuilder &builder, Location loc, Value lower,
   return scf::ForOp::create(builder, loc, lower, upper, one);
 }
 
-/// Replaces `loop` by nested serial loops where it stands.
+/// Replaces a parallel loop by nested serial loops in its place.
 static LogicalResult lowerSerially(ParallelForOp loop, const Box &box,
                                    FieldTable &fields) {
   SmallVector<AtomicOp> atomics;
@@ -116,7 +118,8 @@ LogicalResult tai::lowerSerially(ParallelForOp loop, FieldTable &fields) {
   return ::lowerSerially(loop, Box(loop, builder), fields);
 }
 
-/// The indices of the dimensions before the last, for a row number.
+/// Emits the indices of all dimensions but the last, for the number of a row of
+/// iterations.
 static SmallVector<Value> delinearize(OpBuilder &builder, Location loc,
                                       const Box &box, Value row) {
   IndexMath math(builder, loc);
@@ -156,7 +159,7 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
     builder.setInsertionPointToStart(blocks.getBody());
     from = blocks.getInductionVar();
     // The minimum tells LLVM the maximum length of a block; such a short loop
-    // needs no safepoint.
+    // of iterations needs no safepoint.
     to = math.add(from, math.min(math.constant(most), math.sub(to, from)));
   };
   if (box.rank() == 1) {
@@ -170,11 +173,11 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
       endBlock(inner);
     return;
   }
-  // A row, however long, is one block of the sum, unless the terms of a block
-  // are stored.
+  // A row of iterations, however long, is one block of the sum, unless the
+  // terms of a block are stored.
   bool cutsRows = inBlocks && accumulators.storesTerms();
 
-  // If partitions divide only the outer dimensions, emit a loop for each
+  // If partitions divide only the outer dimensions, a loop is emitted for each
   // dimension: the first loop runs over the range of the partition.
   if (loop.getOuterDims()) {
     SmallVector<Value> ivs;
@@ -230,8 +233,8 @@ static void emitChunks(OpBuilder &builder, ParallelForOp loop, const Box &box,
   Value chunk = chunks.getInductionVar();
   accumulators.emitChunkStart(builder, loc);
   Value first = math.mul(chunk, length);
-  // Add the remaining number to `first`, which is in range, so that no sum can
-  // overflow.
+  // The remaining number is added to `first`, which is in range, so that no sum
+  // can overflow.
   Value last = math.add(first, math.min(length, math.sub(count, first)));
   OpBuilder atEnd(chunks.getBody()->getTerminator());
 
@@ -246,7 +249,8 @@ static void emitChunks(OpBuilder &builder, ParallelForOp loop, const Box &box,
     ivs = delinearize(builder, loc, box, rows.getInductionVar());
     start = math.mul(rows.getInductionVar(), extent);
   }
-  // The iterations of this row in this chunk, by their linear numbers.
+  // The iterations of this row (along the last dimension) in this chunk, by
+  // their linear numbers.
   Value from = math.max(start, first);
   Value to = math.min(math.add(start, extent), last);
   auto pieces =
@@ -292,7 +296,8 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   if (failed(accumulators))
     return failure();
 
-  // The units that a partition counts: rows or iterations.
+  // The unit in which a partition is counted: rows of iterations, or single
+  // iterations.
   std::optional<int64_t> rows = box.constantCount(box.rank() - 1);
   std::optional<int64_t> rowLength = getConstantIntValue(box.extent.back());
   bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
@@ -333,7 +338,8 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
                                  /*isInternal=*/true);
   functions.push_back(function);
 
-  // Skip an empty box: rows of length zero would be a division by zero.
+  // A box without iterations is skipped, because rows of length zero would
+  // cause a division by zero.
   if (!total) {
     Value zero = runtime.i64(builder, loc, 0);
     Value some = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::sgt,

@@ -24,9 +24,9 @@ using namespace mlir::tai;
 // Positions
 //===----------------------------------------------------------------------===//
 
-/// Attribute of the op that stands for a draw until it is lowered: the number
-/// of its stream. The op is a cast of (iteration, sequence[, seed, launch]) to
-/// bits, since named operands would need an op of their own.
+/// The attribute of the op that stands for a random draw until it is lowered:
+/// the number of its stream. The op is a cast of (iteration, sequence[, seed,
+/// launch]) to bits, since named operands would need an op of their own.
 static constexpr llvm::StringLiteral kStreamAttrName = "stream";
 
 bool tai::isDraw(UnrealizedConversionCastOp op) {
@@ -45,7 +45,8 @@ void tai::numberDraws(Operation *root, ParallelForOp loop) {
   if (draws.empty())
     return;
 
-  // The number of the iteration: its row-major position in the box.
+  // The number of an iteration is its row-major position in the box of the
+  // loop.
   OpBuilder builder(root->getContext());
   Value iteration;
   Block *start = loop ? &loop.getBody().front() : &root->getRegion(0).front();
@@ -114,7 +115,7 @@ public:
   PhiloxEmitter(OpBuilder &builder, Location loc)
       : b(loc, builder), i32(b.getI32Type()), i64(b.getI64Type()) {}
 
-  /// The two words of the key that belongs to a launch.
+  /// Emits the two words of the Philox key that belongs to a launch.
   std::array<Value, 2> getKey(Value seed, Value launch) {
     Value key = arith::AddIOp::create(b, seed, word(0x9E3779B97F4A7C15u));
     key = arith::MulIOp::create(b, fold(key, 30), word(0xBF58476D1CE4E5B9u));
@@ -123,7 +124,7 @@ public:
     return {low(key), high(key)};
   }
 
-  /// The four random numbers of a block.
+  /// Emits the four random numbers of a Philox block.
   std::array<Value, 4> getBlock(Value iteration, Value stream, Value block,
                                 std::array<Value, 2> key) {
     std::array<Value, 4> bits = {low(iteration), high(iteration), stream,
@@ -169,8 +170,8 @@ private:
 };
 } // namespace
 
-/// Emits the random number at `sequence` and, if `count` is two, the next one:
-/// pairs are drawn only at even positions.
+/// Emits the random number at position `sequence` and, if `count` is two, the
+/// next one: two numbers at once are drawn only at even positions.
 static std::array<Value, 2> emitBits(UnrealizedConversionCastOp op,
                                      unsigned count, Value frame,
                                      OpBuilder &builder,
@@ -249,9 +250,10 @@ Value tai::emitDraw(UnrealizedConversionCastOp op, Value frame,
     return width < 32 ? arith::TruncIOp::create(builder, loc, type, bits)
                       : bits;
 
-  // Use as many bits as the significand has, so that rounding never yields 1.
-  // This leaves the sign bit zero: vectors of signed integers convert to floats
-  // in one instruction, for unsigned integers few processors have one.
+  // The number gets as many random bits as the significand has, so that
+  // rounding never yields 1. This leaves the sign bit zero: vectors of signed
+  // integers convert to floats in one instruction, for unsigned integers few
+  // processors have one.
   auto floatType = cast<FloatType>(type);
   unsigned kept =
       llvm::APFloat::semanticsPrecision(floatType.getFloatSemantics());

@@ -179,7 +179,8 @@ MessageValues tai::emitMessageValues(RuntimeCalls &runtime, OpBuilder &builder,
     emitSlotStore(builder, loc, value, slot);
     kinds.push_back(kind);
   }
-  // The runtime takes one kind for each value, however many components it has.
+  // The runtime takes one kind for each printed value, however many components
+  // the value has.
   SmallVector<int32_t> kindOfValue;
   size_t first = 0;
   for (int32_t shape : shapes) {

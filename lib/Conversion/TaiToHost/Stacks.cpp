@@ -21,7 +21,7 @@ using namespace mlir::tai;
 static_assert(sizeof(TaiStack) == 3 * sizeof(int64_t), "members are slots");
 
 namespace {
-/// Emits the ops on one stack.
+/// Emits the code of creation, pushes and pops for one stack.
 class StackLowering {
 public:
   StackLowering(OpBuilder &builder, Location loc, Value stack, Value frame,
@@ -46,7 +46,7 @@ public:
   }
 
   Value pop(Type type) {
-    // A stack that failed to grow is empty: keep its size from becoming
+    // A stack that failed to grow is empty, and its size must not become
     // negative.
     Value size = arith::MaxSIOp::create(builder, loc, add(loadSize(), -1),
                                         runtime.i64(builder, loc, 0));
@@ -77,7 +77,7 @@ private:
     return arith::AddIOp::create(builder, loc, value,
                                  runtime.i64(builder, loc, constant));
   }
-  /// The address of the slot at `position`.
+  /// Emits the address of the stack slot at `position`.
   Value getTop(Value position) {
     Value slots = emitSlotLoad(builder, loc, runtime.getPointerType(), stack);
     return LLVM::GEPOp::create(

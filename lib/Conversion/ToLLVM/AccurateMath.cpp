@@ -23,7 +23,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// f(%x : f32)  ->  truncf (f (extf %x))
+/// Computes a function of f32 in f64: f(%x : f32)  ->  truncf (f (extf %x))
 template <typename Op> struct ComputeInF64 : OpRewritePattern<Op> {
   using OpRewritePattern<Op>::OpRewritePattern;
   LogicalResult matchAndRewrite(Op op,
@@ -57,7 +57,8 @@ template <typename Op> struct ComputeInF64 : OpRewritePattern<Op> {
     return success();
   }
 };
-/// A float that is wider than f64: f80 on x86-64, elsewhere f128 in software.
+/// Returns a float type that is wider than f64: f80 on x86-64, elsewhere f128
+/// in software.
 FloatType getExtendedType(MLIRContext *context) {
 #if defined(__x86_64__)
   return Float80Type::get(context);
@@ -66,7 +67,7 @@ FloatType getExtendedType(MLIRContext *context) {
 #endif
 }
 
-/// Computes a function of one f64 in a wider float.
+/// Computes a function of one f64 in a wider float type.
 template <typename Op> struct ComputeExtended : OpRewritePattern<Op> {
   using OpRewritePattern<Op>::OpRewritePattern;
   LogicalResult matchAndRewrite(Op op,
@@ -98,8 +99,8 @@ struct ExtendedRsqrt : ComputeExtended<math::RsqrtOp> {
   }
 };
 
-/// A function of libm with an error of more than one unit: tanh 1.7, log10 1.5,
-/// cbrt 3 units.
+/// Computes in a wider float type those functions of libm whose error exceeds
+/// one unit: tanh 1.7, log10 1.5, cbrt 3 units.
 template <typename Op> struct ExtendedCall : ComputeExtended<Op> {
   ExtendedCall(MLIRContext *context, PatternBenefit benefit, StringRef name)
       : ComputeExtended<Op>(context, benefit), name(name) {}

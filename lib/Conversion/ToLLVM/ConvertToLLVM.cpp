@@ -55,8 +55,8 @@ void tai::setFloatOptions(Operation *root, bool fastMath, bool contract) {
             FastMathFlags::arcp | FastMathFlags::contract | FastMathFlags::afn;
   root->walk([&](Operation *op) {
     auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
-    // Flags do not speed up comparisons and selects, and must not change their
-    // results; LLVM has no such flags for conversions.
+    // Fast-math flags do not speed up comparisons and selects, and must not
+    // change their results; LLVM has no such flags for conversions.
     if (!arithmetic ||
         isa<arith::CmpFOp, arith::SelectOp, arith::ExtFOp, arith::TruncFOp>(op))
       return;
@@ -68,7 +68,8 @@ void tai::setFloatOptions(Operation *root, bool fastMath, bool contract) {
   });
 }
 
-/// A constant of a float type, or a vector with this constant in each lane.
+/// Emits a constant of a float type, or a vector with this constant in each
+/// lane.
 static Value emitFloat(OpBuilder &builder, Location loc, Type type,
                        const APFloat &value) {
   TypedAttr attr = builder.getFloatAttr(getElementTypeOrSelf(type), value);
@@ -192,7 +193,7 @@ struct CastFloat : OpConversionPattern<FromT> {
 };
 } // namespace
 
-/// A constant of the type of `like`, which is f32 or a vector of f32.
+/// Emits a constant of the type of `like`, which is f32 or a vector of f32.
 static Value createF32(OpBuilder &builder, Location loc, Value like,
                        double number) {
   TypedAttr value = builder.getF32FloatAttr(number);
@@ -245,10 +246,11 @@ template <typename Op> struct KeepDenormals : OpRewritePattern<Op> {
 };
 } // namespace
 
-/// Adds expansions that upstream lacks or gets wrong.
+/// Adds expansions of math ops that upstream lacks or gets wrong.
 static void populateExpansionFixes(RewritePatternSet &patterns) {
-  // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
-  // cosine together; it finds the pair by itself.
+  // The op sincos is expanded, because LLVM 22 crashes when it vectorises a
+  // loop with the intrinsic for sine and cosine together; it combines sin and
+  // cos by itself.
   math::populateExpansionPatterns(patterns, {"sincos"});
   // Upstream expands expm1 to e^x - 1, which cancels for small x.
   llvm::erase_if(patterns.getNativePatterns(), [](const auto &pattern) {
@@ -269,7 +271,8 @@ void tai::populateSharedToLLVM(const LLVMTypeConverter &converter,
   populateMathToLLVMConversionPatterns(converter, patterns,
                                        /*approximateLog1p=*/false);
   populateExpansionFixes(patterns);
-  // Patterns for casts and switches that take precedence over upstream's.
+  // These patterns for casts and switches take precedence over upstream's
+  // patterns.
   patterns.add<LowerIndexSwitch>(patterns.getContext(), /*benefit=*/2);
   patterns.add<CastFloat<arith::FPToSIOp, LLVM::FPToSIOp>,
                CastFloat<arith::FPToUIOp, LLVM::FPToUIOp>>(
@@ -316,7 +319,8 @@ static void relaxMathCalls(LLVM::LLVMFuncOp function, bool contract) {
   });
 }
 
-/// The ops of the module that are lowered, and the functions that they call.
+/// Returns the ops of the module that are lowered, and the functions that they
+/// call.
 static llvm::SetVector<Operation *> collectWithCallees(ModuleOp module) {
   llvm::SetVector<Operation *> ops = collectLowered(module);
   addCallees(module, ops);
@@ -329,7 +333,8 @@ static LogicalResult
 checkLowered(ModuleOp module,
              llvm::function_ref<LogicalResult(Operation *)> check) {
   for (Operation *root : collectWithCallees(module)) {
-    // Visit in pre-order, so that an op is reported before the ops inside it.
+    // Ops are visited in pre-order, so that an op is reported before the ops
+    // inside it.
     WalkResult result = root->walk<WalkOrder::PreOrder>(
         [&](Operation *op) { return WalkResult(check(op)); });
     if (result.wasInterrupted())
@@ -346,8 +351,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     ModuleOp module = getOperation();
     MLIRContext *context = &getContext();
     llvm::SetVector<Operation *> lowered = collectWithCallees(module);
-    // Ops of tai with regions must be gone: their regions have a single block,
-    // and lowering a loop inside would create several.
+    // Ops of the dialect tai with regions must be gone: their regions have a
+    // single block, and lowering a loop inside would create several.
     WalkResult result = module.walk([](Operation *op) {
       if (op->getNumRegions() == 0 ||
           !isa_and_present<TaiDialect>(op->getDialect()))
@@ -362,8 +367,9 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
       if (failed(verifyPassedModes(op)))
         return signalPassFailure();
       std::optional<MathMode> own = Modes::of(op).math;
-      // Vector versions of functions yield the same bits in the remainder of a
-      // vectorised loop as in its vectors.
+      // Calls may be vectorised in this case, because vector versions of
+      // functions yield the same bits in the remainder of a vectorised loop as
+      // in its vectors.
       if (own != MathMode::Strict && hasFixedBits(op))
         relaxMathOps(op);
       setFloatOptions(op, own ? own == MathMode::Fast : fastMath,
@@ -373,8 +379,9 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     LLVMTypeConverter converter(context);
     RewritePatternSet patterns(context);
     populateSharedToLLVM(converter, patterns);
-    // f32 polynomials with errors of some units in the last place: loops with
-    // them can be vectorised, loops with calls of libm cannot.
+    // In fast mode, polynomials of f32 with errors of some units in the last
+    // place are used: loops with them can be vectorised, loops with calls of
+    // libm cannot.
     if (fastMath) {
       patterns.add<KeepDenormals<math::ExpOp>, KeepDenormals<math::LogOp>>(
           context, /*benefit=*/3);
@@ -392,7 +399,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
           return isa<LLVM::LLVMFuncOp>(op) && Modes::of(op).isAccurate();
         }))
       populateAccurateMath(patterns, /*benefit=*/1);
-    // Functions for which LLVM has no intrinsic become calls of libm.
+    // Math ops for which LLVM has no intrinsic become calls of libm.
     populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     populateFuncToLLVMConversionPatterns(converter, patterns);
 
@@ -406,7 +413,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
       if (!function)
         continue;
       relaxMathCalls(function, Modes::of(function).math != MathMode::Strict);
-      // The conversions keep loop annotations only as discardable attributes.
+      // Loop annotations are moved to LLVM branches here, because the
+      // conversions keep them only as discardable attributes.
       function.walk([](LLVM::BrOp branch) {
         if (auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
                 branch->removeDiscardableAttr("llvm.loop_annotation")))
@@ -416,7 +424,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   }
 };
 
-/// True for the dialects that the passes before and in this file lower.
+/// True for the dialects that this pass, or the passes before it, lower.
 bool isLowered(StringRef dialect) {
   return llvm::is_contained({"arith", "builtin", "cf", "func", "llvm", "math",
                              "memref", "scf", "tai", "tai_check", "ub",
@@ -424,8 +432,8 @@ bool isLowered(StringRef dialect) {
                             dialect);
 }
 
-/// The remedy for an op of a supported dialect that is not lowered, or for an
-/// op of a GPU dialect; otherwise empty.
+/// Returns the remedy for an op of a supported dialect that is not lowered, or
+/// for an op of a GPU dialect; otherwise empty.
 StringRef findRemedy(Operation *op) {
   if (isa<scf::ParallelOp, scf::ForallOp>(op))
     return "write 'tai.parallel_for' at the top level of a kernel for "
@@ -454,7 +462,8 @@ StringRef findRemedy(Operation *op) {
   return {};
 }
 
-/// The first float type among the results that tai does not support, or null.
+/// Returns the first float type among the results that tai does not support, or
+/// null.
 Type findUnknownFloat(Operation *op) {
   for (Type type : op->getResultTypes()) {
     Type element = getElementTypeOrSelf(type);
@@ -514,7 +523,8 @@ struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
         return success();
       return op->emitOpError("was not lowered to the LLVM dialect");
     };
-    // Report the op that needs a cast first: it tells more than the cast.
+    // The op that needs a cast is reported first, because it tells more than
+    // the cast.
     auto checkOthers = [&](Operation *op) {
       return isa<UnrealizedConversionCastOp>(op) ? success() : check(op);
     };
@@ -529,7 +539,8 @@ struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
         succeeded(checkAll(checkOthers)) && succeeded(checkAll(check));
     if (!isLowered)
       return signalPassFailure();
-    // This is the last pass: no later pass needs the mark of lowered functions.
+    // This is the last pass of the lowering, so no later pass needs the mark of
+    // lowered functions.
     for (Operation *op : collectWithCallees(getOperation()))
       op->walk([](LLVM::LLVMFuncOp function) { unmarkLowered(function); });
     markAllAnalysesPreserved();

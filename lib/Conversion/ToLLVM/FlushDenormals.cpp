@@ -22,11 +22,13 @@ using namespace mlir;
 using namespace mlir::tai;
 
 #if defined(__x86_64__)
-// Bits of MXCSR: denormal operands and denormal results become zero.
+// The bits of the control register MXCSR that make denormal operands and
+// denormal results zero.
 constexpr int32_t kFlushBits = 0x8040;
 constexpr bool kCanFlush = true;
 #elif defined(__aarch64__)
-// The bit of the control word FPCR that flushes operands and results.
+// The bit of the control word FPCR of ARM processors that flushes operands and
+// results.
 constexpr int64_t kFlushBits = 1 << 24;
 constexpr bool kCanFlush = true;
 #else
@@ -35,12 +37,12 @@ constexpr bool kCanFlush = false;
 #endif
 
 namespace {
-/// Reads and writes the control word.
+/// Emits reads and writes of the floating-point control word.
 class ControlWord {
 public:
   ControlWord(OpBuilder &builder, Location loc) : builder(builder), loc(loc) {}
 
-  /// Sets the flush bits and returns the previous control word.
+  /// Emits code that sets the flush bits; returns the previous control word.
   Value setFlushing() {
 #if defined(__x86_64__)
     Type word = builder.getI32Type();
@@ -93,8 +95,8 @@ private:
 /// the frame, which must remain the first parameter.
 static void keepArguments(LLVM::LLVMFuncOp function) {
   OpBuilder builder = OpBuilder::atBlockBegin(&function.getBody().front());
-  // Use one inline asm for each argument: there may be more arguments than
-  // registers.
+  // Each argument gets its own inline asm, because there may be more arguments
+  // than registers.
   for (Value argument : function.getBody().getArguments())
     if (isa<LLVM::LLVMPointerType, IntegerType>(argument.getType()))
       LLVM::InlineAsmOp::create(
@@ -105,7 +107,7 @@ static void keepArguments(LLVM::LLVMFuncOp function) {
           /*operand_attrs=*/ArrayAttr());
 }
 
-/// A zero with the sign of `x` if `x` is denormal, otherwise `x`.
+/// Emits a zero with the sign of `x` if `x` is denormal, otherwise `x`.
 static Value createFlushed(OpBuilder &builder, Location loc, Value x) {
   Type type = x.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(type));
@@ -125,7 +127,7 @@ static Value createFlushed(OpBuilder &builder, Location loc, Value x) {
   return LLVM::SelectOp::create(builder, loc, isDenormal, zero, x);
 }
 
-/// Whether a library computes the function, rather than an instruction, which
+/// True if a library computes the function, rather than an instruction, which
 /// would follow the control word.
 static bool isOfLibrary(Operation *op) {
   if (isa<LLVM::ATan2Op, LLVM::LogOp, LLVM::Log2Op, LLVM::Log10Op, LLVM::PowOp,
@@ -158,7 +160,8 @@ static void flushOperands(LLVM::LLVMFuncOp function) {
   });
 }
 
-/// Moves the body of the function into a new function, and calls that.
+/// Moves the body of the function into a new function, and makes the function
+/// call it.
 static void wrap(LLVM::LLVMFuncOp function) {
   Location loc = function.getLoc();
   OpBuilder builder(function);
@@ -181,7 +184,8 @@ static void wrap(LLVM::LLVMFuncOp function) {
 
 LogicalResult tai::flushDenormals(Operation *root) {
   SmallVector<LLVM::LLVMFuncOp> functions;
-  // Skip device functions in the module, which are converted separately.
+  // Device functions in the module are skipped, since they are converted
+  // separately.
   for (auto function : root->getRegion(0).getOps<LLVM::LLVMFuncOp>())
     if (!function.isExternal() && Modes::of(function).flushes())
       functions.push_back(function);

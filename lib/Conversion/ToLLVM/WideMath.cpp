@@ -101,13 +101,13 @@ public:
     return add(low, mul(fourth, high));
   }
 
-  /// 2^k and e^r - 1, where x = k ln 2 + r, for |x| < 1000.
+  /// Emits 2^k and e^r - 1, where x = k ln 2 + r, for |x| < 1000.
   std::pair<Value, Value> splitExp(Value x) {
     auto [k, scale] = roundToPower(mul(x, constant(0x1.71547652b82fep0)));
     return {scale, expm1OfSmall(sub(x, mul(k, constant(kLn2))))};
   }
 
-  /// 2^k and 2^r - 1, where x = k + r, for |x| < 1000.
+  /// Emits 2^k and 2^r - 1, where x = k + r, for |x| < 1000.
   std::pair<Value, Value> splitExp2(Value x) {
     auto [k, scale] = roundToPower(x);
     return {scale, expm1OfSmall(mul(sub(x, k), constant(kLn2)))};
@@ -127,9 +127,9 @@ private:
     return {sub(shifted, shifter), scale};
   }
 
-  /// e^r - 1 for |r| < 0.35.
+  /// Emits e^r - 1 for |r| < 0.35.
   Value expm1OfSmall(Value r) {
-    // (e^r - 1 - r) / r^2; the next term is below 2^-37.
+    // The polynomial is (e^r - 1 - r) / r^2; its next term is below 2^-37.
     Value rest =
         polynomial(r, {1.0 / 2, 1.0 / 6, 1.0 / 24, 1.0 / 120, 1.0 / 720,
                        1.0 / 5040, 1.0 / 40320, 1.0 / 362880});
@@ -175,7 +175,7 @@ Value expandExp2(F64Builder &inF64, Value x) {
 
 /// Computes tanh x as t / (t + 2) with t = e^2x - 1, without cancellation.
 Value expandTanh(F64Builder &inF64, Value x) {
-  // tanh(x) rounds to 1 in f32 from x = 9.1 on: limit 2 x.
+  // From |x| = 9.1 on, tanh(x) rounds to 1 in f32, so 2 x is limited.
   Value most = inF64.constant(20);
   Value twice = inF64.extend(x);
   twice = inF64.add(twice, twice);
@@ -238,8 +238,8 @@ struct ExpandWide : OpRewritePattern<Op> {
     Location loc = op.getLoc();
     F64Builder inF64(rewriter, loc, type);
     Value x = op.getOperand();
-    // Compute odd functions of |x|, and copy the sign of x, which keeps the
-    // sign of zero.
+    // Odd functions are computed for |x|, and get the sign of x, which keeps
+    // the sign of zero.
     if constexpr (isOdd)
       x = math::AbsFOp::create(rewriter, loc, x);
     Value result = expand(inF64, x);

@@ -22,7 +22,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Whether the operation computes a single f32 and may be approximated.
+/// True if the operation computes a single f32 and may be approximated.
 template <typename Op> bool isApproximate(Op op) {
   return op.getType().isF32() &&
          bitEnumContainsAll(op.getFastmath(), arith::FastMathFlags::afn);
@@ -80,7 +80,7 @@ struct ReduceFirst : OpRewritePattern<Op> {
                                         periods.getType(), periods);
     for (float part : {6.28125f, 1.9350051879882812e-3f, 3.0199160e-7f})
       x = exact.fma(periods, exact.constant(-part), x);
-    // The flag afn makes the backend select the approximate instruction.
+    // The flag afn makes the NVPTX backend select the approximate instruction.
     rewriter.replaceOp(op, Intrinsic::create(rewriter, op.getLoc(), x,
                                              LLVM::FastmathFlags::afn));
     return success();

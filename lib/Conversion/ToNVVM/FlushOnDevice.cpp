@@ -11,9 +11,9 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether an operation computes on floats, so that a processor in flushing
-/// mode flushes its operands and results. Operations that only move bits or
-/// change the sign keep denormals.
+/// True if an operation computes on floats, so that a processor in flushing
+/// mode flushes its denormal operands and results. Operations that only move
+/// bits or change the sign keep denormals.
 static bool computes(Operation *op) {
   return isa<LLVM::FAddOp, LLVM::FSubOp, LLVM::FMulOp, LLVM::FDivOp,
              LLVM::FRemOp, LLVM::FCmpOp, LLVM::FPExtOp, LLVM::FPTruncOp,
@@ -34,7 +34,8 @@ static bool isDouble(Value value) {
   return getElementTypeOrSelf(value.getType()).isF64();
 }
 
-/// %v  ->  |%v| < the least normal number ? copysign(0, %v) : %v
+/// Emits the flush of a number: %v -> |%v| < the least normal number ?
+/// copysign(0, %v) : %v
 static Value flush(OpBuilder &builder, Location loc, Value value) {
   Type type = value.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(type));
@@ -79,7 +80,8 @@ void tai::flushOnDevice(LLVM::LLVMFuncOp function) {
       if (!isDouble(result) && !isLibrarys)
         continue;
       Value flushed = flush(at, op->getLoc(), result);
-      // Replace all uses but the ones in the ops that compute `flushed` itself.
+      // All uses are replaced but the ones in the ops that compute `flushed`
+      // itself.
       result.replaceUsesWithIf(flushed, [&](OpOperand &use) {
         Operation *user = use.getOwner();
         return user->getBlock() != op->getBlock() ||

@@ -23,7 +23,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The kernel that a device function belongs to: its name without the number.
+/// Returns the name of the kernel that a device function belongs to: the
+/// function's name without the number.
 static StringRef getKernelName(StringRef function) {
   return function.take_front(function.rfind('_'));
 }
@@ -68,8 +69,8 @@ static bool isFree(Operation *op) {
   return call && call.getCallee() == "free";
 }
 
-/// Whether memory is only read, written and freed, the latter in the iteration
-/// that allocates it: its address does not escape.
+/// True if memory is only read, written and freed, the latter in the iteration
+/// that allocates it, so that its address does not escape.
 static bool isPrivate(Value address, Block *block, bool &isFreed) {
   return llvm::all_of(address.getUsers(), [&](Operation *user) {
     if (isFree(user)) {
@@ -105,7 +106,8 @@ static void keepInThread(LLVM::CallOp call, ThreadMemory &own) {
     call.erase();
     return;
   }
-  // For a short array, allocate zero bytes, which does nothing.
+  // A short array is in local memory instead, so the heap allocation becomes
+  // one of zero bytes, which does nothing.
   OpBuilder builder(call);
   Location loc = call.getLoc();
   auto constant = [&](int64_t value) -> Value {

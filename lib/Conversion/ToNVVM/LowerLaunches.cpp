@@ -21,7 +21,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The number of a device function: its position in its module.
+/// Returns the number of a device function, which is its position in its
+/// module.
 static FailureOr<int64_t> getNumber(gpu::LaunchFuncOp launch, ModuleOp module) {
   auto kernels =
       module.lookupSymbol<gpu::GPUModuleOp>(launch.getKernelModuleName());

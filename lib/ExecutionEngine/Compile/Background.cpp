@@ -19,8 +19,8 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace mlir::tai {
-/// All objects of class Background. Never destroyed: threads may end after
-/// static objects are destroyed.
+/// The list of all objects of class Background. It is never destroyed, because
+/// threads may end after static objects are destroyed.
 struct BackgroundForks {
   std::mutex mutex;
   std::vector<Background *> all;
@@ -50,7 +50,8 @@ private:
 };
 } // namespace mlir::tai
 
-/// Ends all threads of the Background, and returns with its lock held.
+/// Ends all threads of the object, and returns with its lock held, before a
+/// fork.
 void Background::hold() {
   std::unique_lock<std::mutex> lock(mutex);
   isHeld = true;
@@ -60,7 +61,7 @@ void Background::hold() {
 
 void Background::release(bool inChild) {
   isHeld = false;
-  // A child of a fork runs its jobs when it needs their results.
+  // A child of a fork runs queued jobs itself when it needs their results.
   if (!inChild && !queue.empty())
     callThread();
   mutex.unlock();
@@ -120,7 +121,7 @@ bool Background::callThread() {
   ended.clear();
   threads.emplace_front();
   auto self = threads.begin();
-  // If no more threads can be started, finish() runs the job.
+  // If no more threads can be started, the caller of finish() runs the job.
   if (self->start([this, self] { run(self); }, "tai-compile"))
     return true;
   threads.erase(self);
@@ -176,8 +177,8 @@ void Background::run(std::list<runtime::Thread>::iterator self) {
       break;
     ++idle;
     called.wait(lock, [&] { return calls > 0 || isHeld || maxThreads == 0; });
-    // If calls > 0, callThread has already removed this thread from the idle
-    // ones.
+    // If `calls` is positive, callThread has already removed this thread from
+    // the idle ones.
     if (calls > 0)
       --calls;
     else
@@ -226,7 +227,7 @@ bool Background::runAside(std::function<void()> task) {
   return false;
 }
 
-/// The job that the calling thread runs, and the Background of that job.
+/// The job that the calling thread runs, and the Background object of that job.
 static thread_local const Background::Job *currentJob = nullptr;
 static thread_local const Background *currentOwner = nullptr;
 
@@ -234,8 +235,9 @@ void Background::perform(Job &job) {
   currentJob = &job;
   currentOwner = this;
   job.task();
-  // Destroy the task here: its destructor may cancel other jobs and so take the
-  // lock, which the thread that joins this thread later holds.
+  // The task is destroyed at this point, because its destructor may cancel
+  // other jobs and so take the lock, which the thread that joins this thread
+  // later holds.
   job.task = nullptr;
   currentJob = nullptr;
 }

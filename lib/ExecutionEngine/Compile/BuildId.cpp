@@ -28,7 +28,7 @@
 using namespace llvm;
 
 namespace {
-/// A library, or the program, as loaded into memory.
+/// A library, or the program itself, loaded into the memory of the process.
 struct Image {
   uintptr_t base;
   SmallVector<ElfW(Phdr)> segments;
@@ -63,7 +63,8 @@ void Image::readDynamicSection(const char *path) {
     for (auto *entry = entries; entry->d_tag != DT_NULL; ++entry)
       if (entry->d_tag == DT_STRTAB)
         strings = entry->d_un.d_ptr;
-    // Not every loader adds the base to the address of the string table.
+    // Not every loader adds the base of the library to the address of its
+    // string table.
     if (strings < base)
       strings += base;
     if (!any_of(segments, [&](const ElfW(Phdr) & other) {
@@ -81,7 +82,8 @@ void Image::readDynamicSection(const char *path) {
   }
 }
 
-/// The build id in a segment of notes; nothing if there is none.
+/// Finds the build id in a segment of notes of a library; nothing if there is
+/// none.
 static std::optional<StringRef> findBuildId(StringRef notes, size_t alignment) {
   while (notes.size() >= sizeof(ElfW(Nhdr))) {
     ElfW(Nhdr) header;
@@ -99,7 +101,8 @@ static std::optional<StringRef> findBuildId(StringRef notes, size_t alignment) {
   return std::nullopt;
 }
 
-/// The linker's build id; without one, a checksum of all read-only memory.
+/// Returns the linker's build id of a library; without one, a checksum of all
+/// its read-only memory.
 std::string Image::getId() const {
   for (const ElfW(Phdr) &segment : segments)
     if (segment.p_type == PT_NOTE)
@@ -117,11 +120,12 @@ std::string Image::getId() const {
 }
 
 namespace {
-/// All loaded libraries, and the ids that have been requested so far.
+/// All loaded libraries, and those of their ids that have been requested so
+/// far.
 class Images {
 public:
-  /// The ids of the libraries that contain one of these addresses, or that
-  /// depend on a library that contains one of the first `numLibraries`
+  /// Returns the ids of the libraries that contain one of these addresses, or
+  /// that depend on a library that contains one of the first `numLibraries`
   /// addresses.
   SmallVector<std::string> getIds(ArrayRef<const void *> addresses,
                                   size_t numLibraries);
@@ -185,7 +189,7 @@ SmallVector<std::string> Images::getIds(ArrayRef<const void *> addresses,
       id = image.getId();
     ids.push_back(id);
   }
-  // Sort the ids, since the order in which libraries were loaded does not
+  // The ids are sorted, since the order in which libraries were loaded does not
   // matter.
   sort(ids);
   ids.erase(llvm::unique(ids), ids.end());

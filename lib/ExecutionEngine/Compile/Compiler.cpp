@@ -219,7 +219,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
                              "this build cannot differentiate kernels");
       return mlir::failure();
     }
-    // The user may have written the adjoint, which is then not derived.
+    // The user may have written the adjoint, in which case it is not derived.
     if (given && given.getAdjoint()) {
       if (zeroes && failed(checkZeroes(*module, given, failure)))
         return mlir::failure();
@@ -231,7 +231,8 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
       return mlir::failure();
     }
     prepared.toBeRecorded = findToBeRecorded(*module, request.name).serialize();
-    // Drop the primal, which is compiled separately when it is first launched.
+    // The primal is dropped from the module, since it is compiled separately
+    // when it is first launched.
     auto kernel = module->lookupSymbol<KernelOp>(request.name);
     FlatSymbolRefAttr adjoint = kernel ? kernel.getAdjointAttr() : nullptr;
     if (kernel)
@@ -245,8 +246,8 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
     if (form && CompileRequest::readsStored(request.goal))
       adjoint = form;
     prepared.symbol = getEntryPointName(adjoint.getValue());
-    // Erase the parts that the kernel was split into, which are compiled as
-    // kernels of their own.
+    // The parts into which the kernel was split are erased, since they are
+    // compiled as kernels of their own.
     eraseOtherKernels(*module, adjoint.getValue());
   }
   if (request.forward)
@@ -306,7 +307,7 @@ void Compiler::addReproducer(CompileRequest request,
                               CompileRequest::zeroes(request.goal)
                                   ? worker.zeroingAutodiff
                                   : worker.autodiff);
-  // The module before the failed step is not kept: recompute it for the
+  // The module before the failed step is not kept, so it is recomputed for the
   // reproducer.
   CompileRequest before = request;
   before.forward = request.forward && step != Step::Forward;
@@ -361,7 +362,8 @@ std::string Compiler::getProgramKey(StringRef text,
 
 std::string Compiler::getKey(CompileRequest request,
                              const CompileOptions &options) {
-  // Without checks or a profiler, code contains no locations.
+  // Compiled code contains no source locations, unless it has checks or serves
+  // a profiler.
   std::string text;
   llvm::raw_string_ostream stream(text);
   // Sessions accept only processors that TargetCpu::find finds.
@@ -500,7 +502,7 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   function.fromCache = object.has_value();
   if (object && failed(link(*object, request.name, function, failure))) {
     // The cached code of another process may need symbols that this process
-    // lacks: compile the module instead.
+    // lacks. In this case the module is compiled instead.
     failure = Failure();
     object.reset();
     function.fromCache = false;
@@ -587,7 +589,7 @@ std::optional<std::string> Compiler::print(CompileRequest request,
                                            const CompileOptions &options,
                                            Failure &failure, bool withPlaces) {
   Prepared prepared;
-  // Compiling reports the warnings; printing drops them.
+  // Warnings are dropped here, because compiling the kernel reports them, too.
   WarningScope warnings;
   std::optional<std::string> text =
       printStage(request, stage, options, prepared, failure, withPlaces);

@@ -116,7 +116,8 @@ LogicalResult LLVMJob::optimize(const CodegenOptions &options,
 // Devices
 //===----------------------------------------------------------------------===//
 
-/// The device code of a lowered module; null, and success, if there is none.
+/// Finds the device code of a lowered module; null, and success, if there is
+/// none.
 static LogicalResult findDeviceCode(ModuleOp module, Operation *&found,
                                     Failure &failure) {
   auto deviceModule = findDeviceModule(module);
@@ -184,8 +185,8 @@ Compiler::makeProgram(const runtime::ProgramPlan &plan,
   }
   std::string key;
   bool isKnown = false;
-  // Compute the key in a hook on the linked module, so that the plan is linked
-  // only once.
+  // The cache key is computed in a hook on the linked module, so that the plan
+  // is linked only once.
   if (cache)
     (*compiler)->setLinkedHook(
         [&](const llvm::Module &module)
@@ -233,7 +234,7 @@ LogicalResult Compiler::compileDeviceCode(
   if (!deviceModule)
     return success();
   PhaseTimes &times = prepared.times;
-  // A target that is wrong, or that this machine lacks, is a usage error.
+  // A target CPU that is wrong, or that this machine lacks, is a usage error.
   auto fail = [&](llvm::Error error) {
     failure =
         Failure::get(FailureKind::Usage, llvm::toString(std::move(error)));
@@ -307,11 +308,12 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   object.symbol = prepared.symbol;
   object.toBeRecorded = prepared.toBeRecorded;
   object.warnings = prepared.warnings;
-  // Warnings contain source locations, which are not part of the cache's key.
+  // Warnings contain source locations, which are not part of the cache's key,
+  // so an object with warnings gets a digest of the locations.
   if (!object.warnings.empty())
     object.places = getPlaces(request);
   // A kernel that was split into parts has no code of its own; its parts report
-  // themselves.
+  // their warnings themselves.
   if (object.symbol.empty())
     return object;
   object.skipped = prepared.skipped;

@@ -19,7 +19,7 @@
 
 namespace mlir::tai {
 
-/// Adds the lifetime of the timer to the time of a phase.
+/// Adds the lifetime of the timer object to the time of a compile phase.
 class PhaseTimer {
 public:
   PhaseTimer(PhaseTimes &times, Phase phase)
@@ -57,7 +57,8 @@ struct Compiler::Worker {
   std::string *scf = nullptr;
 };
 
-/// Takes an idle worker for these options, or makes one, and returns it.
+/// Borrows an idle compiler worker for these options, or makes one, and returns
+/// it at the end of the scope.
 class Compiler::WorkerLease {
 public:
   WorkerLease(Compiler &compiler, const CompileOptions &options)

@@ -13,13 +13,15 @@
 
 namespace mlir::tai {
 
-/// An interpreter for the function whose entry point has the symbol; null, with
-/// the reason in `failure`, if the interpreter does not support an op.
+/// Makes an interpreter for the function whose entry point has the symbol;
+/// null, with the reason in `failure`, if the interpreter does not support an
+/// op.
 std::shared_ptr<const Interpreter>
 makeInterpreter(OwningOpRef<ModuleOp> module, StringRef symbol,
                 const CompileOptions &options, Failure &failure);
 
-/// Adds `i32 @symbol(ptr %frame)`, which calls the interpreter with the frame.
+/// Adds the function `i32 @symbol(ptr %frame)`, which calls the interpreter
+/// with the frame.
 void buildInterpreterEntry(llvm::Module &module, StringRef symbol,
                            const Interpreter *interpreter);
 

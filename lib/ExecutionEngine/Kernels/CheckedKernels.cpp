@@ -74,8 +74,8 @@ runtime::Status KernelCode::makeChecked(runtime::CheckedKernel &checked) {
     }
     checked.accesses.push_back(std::move(row));
   }
-  // Compile for the CPU, whose order the listed accesses have, even if the
-  // kernel itself runs on another device.
+  // The checked variant is compiled for the CPU, whose order the listed
+  // accesses have, even if the kernel itself runs on another device.
   CompileOptions options = getOptions();
   options.device = std::nullopt;
   options.deviceTarget.clear();

@@ -24,7 +24,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The name of an argument in the source program.
+/// Returns the name of a kernel argument in the source program.
 static std::string getName(BlockArgument argument) {
   if (auto name = argument.getLoc()->findInstanceOf<NameLoc>())
     return name.getName().str();
@@ -32,7 +32,7 @@ static std::string getName(BlockArgument argument) {
 }
 
 namespace {
-/// The numbered places (fields, arrays and results) of a kernel.
+/// The numbered ends of data flows of a kernel: fields, arrays and results.
 class PlaceList {
 public:
   PlaceList(KernelOp kernel, ArrayRef<runtime::Access> summary,
@@ -75,8 +75,8 @@ private:
     if (!argument || argument.getOwner() != &kernel.getBody().front())
       return std::nullopt;
     place.name = getName(argument);
-    // Arguments that are gradients of arrays follow their arrays, and are no
-    // places.
+    // An argument that is the gradient of an array is no place of its own in
+    // the data flow, because gradients follow their arrays.
     if (StringRef(place.name).ends_with(".grad"))
       return std::nullopt;
     unsigned number = argument.getArgNumber();
@@ -147,7 +147,8 @@ runtime::KernelFlows mlir::tai::findFlows(KernelOp kernel,
         add(value, result, end.getLoc(), false);
       }
   });
-  // Arrays that the kernel overwrites without reading them are places too.
+  // Arrays that the kernel overwrites without reading them are also listed as
+  // places of the data flow.
   for (BlockArgument argument : kernel.getArguments())
     if (auto array = dyn_cast<MemRefType>(argument.getType()))
       if (isFloatOrVector(array.getElementType()))

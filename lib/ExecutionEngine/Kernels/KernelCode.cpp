@@ -91,8 +91,8 @@ KernelCode::runAside(std::function<std::optional<Result>(Failure &)> step,
   return std::move(state->result);
 }
 
-/// Keeps the function alive with the kernel, even if the caller was interrupted
-/// and does not get it.
+/// Keeps a compiled function alive with the kernel, even if the caller was
+/// interrupted and does not get it.
 std::optional<Compiler::Function>
 KernelCode::keepFunction(std::optional<Compiler::Function> function) {
   std::lock_guard<std::mutex> lock(functionsMutex);
@@ -232,8 +232,8 @@ void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
 
 runtime::Status KernelCode::compile(runtime::Kernel &kernel,
                                     TaiKernelFn &function) {
-  // Under a tape, the adjoint will soon be needed: compile it on another core,
-  // while this thread goes on with the forward pass.
+  // Under a tape, the adjoint will soon be needed, so it is compiled on another
+  // core, while this thread goes on with the forward pass.
   choosePlannedForm(kernel);
   if (services.rt.recordingTape() && !ahead && carriesGradients(kernel))
     ahead = services.background.start(
@@ -254,8 +254,9 @@ runtime::Status KernelCode::compile(runtime::Kernel &kernel,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Provides forms of a kernel, which are launched with the arguments of their
-/// primal. The primal usually outlives them.
+/// Provides the code of variants of a kernel (its adjoints and tangents), which
+/// are launched with the arguments of their primal. The primal usually outlives
+/// them.
 class FormProvider final : public runtime::KernelProvider {
 public:
   FormProvider(std::weak_ptr<KernelCode> code, Goal goal, bool forward)
@@ -265,8 +266,8 @@ public:
     std::shared_ptr<KernelCode> primal = code.lock();
     if (!primal || forward)
       return runtime::Status::success();
-    // A stored value may have no dual: compute tangents from the operands of
-    // the store's value.
+    // A stored value may have no dual, so tangents are computed from the
+    // operands of the store's value.
     return primal->makeTangentOf(
         CompileRequest::getAdjointGoal(CompileRequest::zeroes(goal),
                                        /*stored=*/false),
@@ -312,8 +313,8 @@ std::string KernelCode::explainRefusalOf(Goal goal, bool forward,
   return failure.message;
 }
 
-/// Whether the form of the adjoint that loads stored values exists, and reads
-/// only accesses that the tape was told about.
+/// True if the variant of the adjoint that loads stored values exists, and
+/// makes no reads that the tape was not told about.
 bool KernelCode::canReadStored(Goal goal, const ToBeRecorded &told) {
   Failure failure;
   auto first =
@@ -399,7 +400,7 @@ runtime::KernelFlows KernelCode::findFlows(const runtime::Kernel &kernel) {
   return tai::findFlows(getKernel(), kernel.summary());
 }
 
-/// Splits a module of kernels that are parts of one kernel (`part_of`): a
+/// Splits a module of kernels that are parts of one kernel (`part_of`) into one
 /// module for each part, in the order in which the parts run.
 static SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
 splitParts(ModuleOp parts) {
@@ -412,7 +413,8 @@ splitParts(ModuleOp parts) {
          llvm::make_early_inc_range(module->getOps<KernelOp>()))
       if (other.getSymName() != part.getSymName())
         other.erase();
-    // Drop the name of the part's adjoint, whose form is chosen later.
+    // The name of the part's adjoint is dropped, since the form of the adjoint
+    // is chosen later.
     auto copy = module->lookupSymbol<KernelOp>(part.getSymName());
     copy.removeAdjointAttr();
     copy.removePartOfAttr();
@@ -452,8 +454,8 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   {
     PrepareLock lock(prepareMutex);
     Failure failure;
-    // Prepare the adjoint without generating code: recording a launch needs the
-    // plan, and only the reverse sweep needs the code.
+    // The adjoint is prepared without generating code: recording a launch needs
+    // the plan, and only the reverse sweep needs the code.
     if (!toBeRecorded && failed(prepareAdjoint(failure, /*claims=*/false))) {
       // After an interruption the plan is provisional, and is made again at the
       // next request.
@@ -462,8 +464,8 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
     }
     told = ToBeRecorded::deserialize(*toBeRecorded);
   }
-  // The fields that existed when the kernel was created, even if other fields
-  // have taken their names since.
+  // Finds the fields that existed when the kernel was created, even if other
+  // fields have taken their names since.
   auto findField = [&](const std::string &name) {
     for (const runtime::Access &access : kernel.summary())
       if (access.field->name() == name)

@@ -23,8 +23,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The additional operands of the kernel's adjoint, for gradients of arguments,
-/// arrays and results of the caller.
+/// Describes the additional operands of the kernel's adjoint, for gradients of
+/// arguments, arrays and results of the caller.
 static FailureOr<runtime::CallerAdjoints> getCallerAdjoints(KernelOp kernel,
                                                             Failure &problem) {
   DiagnosticCollector collector(kernel.getContext());
@@ -84,7 +84,7 @@ static LogicalResult clampIndices(ModuleOp module,
   return failures.fail(std::move(failure));
 }
 
-/// The compile options of the kernel, which its modes may change.
+/// Returns the compile options of the kernel, which its modes may change.
 static FailureOr<CompileOptions> getOwnOptions(KernelOp kernel,
                                                const CompileOptions &options,
                                                FailureLog &failures) {
@@ -98,7 +98,8 @@ static FailureOr<CompileOptions> getOwnOptions(KernelOp kernel,
   return own;
 }
 
-/// Applies a precision, which also makes the kernel a different program.
+/// Applies the precision in the kernel's modes, which also makes the kernel a
+/// different program.
 static LogicalResult widenArithmetic(ModuleOp module, KernelOp kernel,
                                      FailureLog &failures) {
   if (!Modes::of(kernel).precision)
@@ -115,7 +116,7 @@ static LogicalResult widenArithmetic(ModuleOp module, KernelOp kernel,
 }
 
 /// In the kernel as written, makes updates of elements that iterations share
-/// atomic, or rejects them. With one thread, iterations run in order.
+/// atomic, or rejects these updates. With one thread, iterations run in order.
 static LogicalResult recognizeReductions(ModuleOp module, KernelOp kernel,
                                          bool oneThread, FailureLog &failures) {
   bool isParallel = kernel

@@ -11,8 +11,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The reason why `modes` contradict each other or the options of the context;
-/// empty if they do not.
+/// Returns the reason why `modes` contradict each other or the options of the
+/// context; empty if they do not.
 static std::string findContradiction(const Modes &modes,
                                      const CompileOptions &options) {
   bool isFast =
@@ -54,13 +54,14 @@ mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
                 "give it to ti.init, for all");
   if (modes.math)
     result.codegen.fastMath = modes.math == MathMode::Fast;
-  // The mode `accurate` concerns functions of libm only: in a strict context,
-  // the kernel stays strict.
+  // The mode `accurate` concerns only functions of libm, so in a strict context
+  // the kernel remains strict.
   bool isStrict = modes.math && !modes.isAccurate()
                       ? modes.math == MathMode::Strict
                       : !options.codegen.contract;
-  // Other numbers of threads divide loops differently, and whether an operation
-  // is fused may depend on the end of a vectorised loop.
+  // In deterministic mode products and sums are not fused: other numbers of
+  // threads divide loops differently, and whether an operation is fused may
+  // depend on the end of a vectorised loop.
   result.codegen.contract = !isStrict && !result.deterministic;
   result.codegen.combineScatters &= !isStrict && !result.deterministic;
   return result;

@@ -92,7 +92,7 @@ static std::vector<std::string> describeNodes(RootType root,
   return labels;
 }
 
-/// The description of the sparse levels of a tree for the runtime.
+/// Describes the sparse levels of a tree for the runtime.
 static std::vector<runtime::SparseInfo> describeSparse(RootType root,
                                                        TreeLayout &layout) {
   std::vector<runtime::SparseInfo> infos;
@@ -140,8 +140,8 @@ LogicalResult Declarations::destroyTree(StringRef name) {
       gone.insert(field.getSymName());
       symbols.erase(field);
     }
-  // Drop names of destroyed fields from adjoints and duals: a new field of the
-  // same name is a different field.
+  // Names of destroyed fields are dropped from adjoints and duals, because a
+  // new field of the same name is a different field.
   for (FieldOp field : declared->getOps<FieldOp>()) {
     if (field.getAdjoint() && gone.contains(*field.getAdjoint()))
       field.removeAdjointAttr();
@@ -160,8 +160,8 @@ LogicalResult Declarations::destroyTree(StringRef name) {
 
 FailureOr<runtime::FieldPtr> Declarations::addField(StringRef declaration) {
   DiagnosticCollector collector(context);
-  // Verify later: the text lacks the declarations of the field's adjoint and
-  // tree.
+  // The field is verified later, because the text lacks the declarations of the
+  // field's adjoint and tree.
   ParserConfig config(context, /*verifyAfterParse=*/false);
   OwningOpRef<ModuleOp> module = readModule(declaration, config, "declaration");
   if (!module)
@@ -214,8 +214,8 @@ static std::optional<runtime::ScalarKind> getScalarKind(Type type) {
   return std::nullopt;
 }
 
-/// The initial contents of the field as a row-major array; nullopt after an
-/// error.
+/// Returns the initial contents of the field as a row-major array; nullopt
+/// after an error.
 static std::optional<std::vector<char>>
 getContents(FieldOp field, runtime::ScalarKind scalar) {
   std::vector<char> array;
@@ -231,7 +231,7 @@ getContents(FieldOp field, runtime::ScalarKind scalar) {
         array.push_back(value);
       return array;
     }
-    // A splat stores a single element.
+    // The raw data of a splat attribute holds a single element.
     ArrayRef<char> raw = dense.getRawData();
     for (size_t i = 0, e = dense.isSplat() ? count : 1; i != e; ++i)
       array.insert(array.end(), raw.begin(), raw.end());
@@ -326,8 +326,9 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
 //===----------------------------------------------------------------------===//
 
 LogicalResult Declarations::declareUsed(ModuleOp module) {
-  // In the order of first use, so that the module, and with it the key of its
-  // cached code, does not depend on other contents of the session.
+  // The declarations are added in the order of first use, so that the module,
+  // and with it the key of its cached code, does not depend on other contents
+  // of the session.
   llvm::SetVector<StringAttr> pending;
   module.walk([&](Operation *op) {
     op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {

@@ -40,8 +40,8 @@ static bool startsAsBytecode(StringRef bytes) {
   return isBytecode(llvm::MemoryBufferRef(bytes, "module"));
 }
 
-/// The problem with the header or with the bytes after it; empty if there is
-/// none.
+/// Describes the problem with the header of a bytecode file or with the bytes
+/// after it; empty if there is none.
 static std::string checkHeader(StringRef bytes) {
   if (bytes.size() < kHeaderSize)
     return "this bytecode is cut off: it has " + std::to_string(bytes.size()) +
@@ -104,8 +104,8 @@ OwningOpRef<ModuleOp> mlir::tai::readModule(StringRef bytes,
   StringRef bytecode = bytes.drop_front(kHeaderSize);
   if (!checkText(bytecode, context, file))
     return {};
-  // Align the copy of the bytecode, since resources in it have the alignment
-  // with which they were written.
+  // The copy of the bytecode is aligned, since resources in it have the
+  // alignment with which they were written.
   auto aligned = llvm::WritableMemoryBuffer::getNewUninitMemBuffer(
       bytecode.size(), file, llvm::Align(64));
   llvm::copy(bytecode, aligned->getBufferStart());

@@ -37,8 +37,8 @@ static LogicalResult checkFlat(ModuleOp file) {
   return success();
 }
 
-/// A module with one kernel, and the functions, kernels and global arrays that
-/// it refers to.
+/// Makes a module with one kernel, and the functions, kernels and global arrays
+/// that it refers to.
 static OwningOpRef<ModuleOp> extract(ModuleOp file, KernelOp kernel) {
   llvm::SetVector<Operation *> needed;
   needed.insert(kernel);
@@ -136,7 +136,8 @@ LogicalResult Program::run(StringRef name) {
   if (failed(checkFunction(name)))
     return failure();
   auto known = functions.find(name);
-  // Compile a function again if the options have changed since it was compiled.
+  // A function is compiled again if the options have changed since it was
+  // compiled.
   if (known != functions.end() && !session.isCurrent(known->second)) {
     session.unload(known->second);
     functions.erase(known);

@@ -87,8 +87,8 @@ private:
                         "the tape cannot be saved: " + reason);
   }
 
-  /// The kernel of a record; null for a further part of the previous record's
-  /// kernel.
+  /// Returns the kernel of a record; null for a further part of the previous
+  /// record's kernel.
   FailureOr<SessionKernel *> findKernel(int64_t record) {
     const runtime::Kernel *launched = tape.kernelOf(record);
     if (!launched)
@@ -100,8 +100,7 @@ private:
         return &kernel;
       if (!kernel.kernel->hasParts())
         continue;
-      // The parts of a kernel are recorded one after another instead of the
-      // kernel.
+      // A split kernel is recorded as its parts, one after another.
       const std::vector<runtime::KernelPtr> &parts =
           kernel.kernel->plan().parts;
       for (auto [i, part] : llvm::enumerate(parts))
@@ -145,7 +144,7 @@ private:
       if (!tree->sparseNodes().empty())
         return refuse("kernel '" + kernel.code->getName() + "' uses tree '" +
                       tree->name() + "', which has sparse levels");
-    // Rename kernels and helpers whose names are taken.
+    // Kernels and helpers are renamed if their names are taken.
     for (Operation &held : llvm::make_early_inc_range(*source->getBody())) {
       auto name = SymbolTable::getSymbolName(&held);
       if (auto field = dyn_cast<FieldOp>(held)) {
@@ -182,8 +181,8 @@ private:
     return other;
   }
 
-  /// Initialises fields with their current contents, except gradients and
-  /// zeros.
+  /// Makes the current contents of fields their initial values, except for
+  /// gradients and fields of zeros.
   LogicalResult takeContents() {
     for (FieldOp op : module->getOps<FieldOp>()) {
       runtime::FieldPtr field =
@@ -214,7 +213,7 @@ private:
     return success();
   }
 
-  /// A constant of type `type` with the value in the slot.
+  /// Emits a constant of type `type` with the value in the argument slot.
   Value makeNumber(OpBuilder &inside, Type type, const uint64_t *slot) {
     unsigned bits = isa<IndexType>(type) ? 64 : type.getIntOrFloatBitWidth();
     APInt value(
@@ -248,7 +247,8 @@ private:
                      record.kernel.getSymName(), operands);
   }
 
-  /// Adds a function with all launches, on a tape if there is a loss.
+  /// Adds a function with all launches of the tape to the module; with a loss,
+  /// the launches are under a tape.
   LogicalResult addFunction(StringRef name, FlatSymbolRefAttr loss) {
     if (symbols.lookup(name))
       return refuse("a kernel or a helper is named '" + name +

@@ -27,7 +27,8 @@ void CompileReports::printStages(Compiler &compiler, CompileRequest request,
   for (const std::string &stage : stages) {
     if ((isAdjoint || request.forward) && stage == "tai")
       continue;
-    // Leave out the stage "autodiff" for primals, which are not differentiated.
+    // The stage "autodiff" is left out for primals, which are not
+    // differentiated.
     if (!isAdjoint && !request.forward && stage == "autodiff")
       continue;
     if (!options.device && Compiler::isDeviceStage(stage))

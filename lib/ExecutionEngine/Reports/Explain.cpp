@@ -35,7 +35,8 @@ StringRef KeptRemark::get(StringRef key) const {
 static thread_local RemarkScope *currentScope = nullptr;
 
 namespace mlir::tai {
-/// Passes the remarks of a thread to its RemarkScope.
+/// Receives the remarks of all threads, and passes each to the RemarkScope of
+/// its thread.
 class RemarkKeeper : public remark::detail::MLIRRemarkStreamerBase {
 public:
   void streamOptimizationRemark(const remark::detail::Remark &remark) override {
@@ -57,10 +58,10 @@ RemarkScope::~RemarkScope() { currentScope = outer; }
 
 void RemarkScope::prepare(MLIRContext *context) {
   remark::RemarkCategories categories;
-  // Name each category of remarks: in this version of MLIR, `all` alone enables
-  // none.
+  // Each category of remarks is named, because in this version of MLIR `all`
+  // alone enables none.
   categories.passed = categories.missed = categories.analysis = "tai-.*";
-  // Ignore the result: this cannot fail, since no file is written.
+  // The result is ignored: this call cannot fail, since no file is written.
   (void)remark::enableOptimizationRemarks(
       *context, std::make_unique<RemarkKeeper>(),
       std::make_unique<remark::RemarkEmittingPolicyAll>(), categories);
@@ -139,7 +140,7 @@ static void describeMemory(llvm::raw_ostream &os, ModuleOp module,
     os << "  the kernel is run again, before its gradient, on what was saved\n";
 }
 
-/// With fewer threads than this, a GPU is mostly idle.
+/// The number of threads below which a GPU is mostly idle.
 static constexpr int64_t kFewThreads = 8192;
 
 static bool isSerialLoop(Operation *op) {
@@ -202,7 +203,7 @@ static void describeLoops(llvm::raw_ostream &os, KernelOp kernel,
   });
 }
 
-/// Describes the updates of the kernel in parallel loops.
+/// Describes how the kernel's parallel loops do their updates.
 static void describeUpdates(llvm::raw_ostream &os,
                             ArrayRef<KeptRemark> remarks) {
   for (const KeptRemark &remark : remarks) {
@@ -219,8 +220,9 @@ static void describeUpdates(llvm::raw_ostream &os,
   }
 }
 
-/// Whether the iterations that own an element make all additions to it. The
-/// versions of a loop may have a line each.
+/// For the additions of each loop, says whether the iterations that own an
+/// element make all additions to it. The versions of a loop may have a line
+/// each.
 static void describeGathers(llvm::raw_ostream &os, StringRef where,
                             ArrayRef<KeptRemark> remarks) {
   llvm::StringSet<> lines;

@@ -37,7 +37,8 @@ runtime::Status FailureLog::keep(Failure failure) {
       runtime::StatusCode::Compile, failure.message, where,
       static_cast<int>(numDropped + kept.size()) + 1);
   kept.push_back(std::move(failure));
-  // Only the latest failures are kept; older ones are reported by their status.
+  // The number of failures that are kept; older ones are reported by their
+  // status alone.
   constexpr size_t mostFailures = 1024;
   if (kept.size() > mostFailures) {
     kept.pop_front();
@@ -73,7 +74,8 @@ LogicalResult FailureLog::fail(const runtime::Status &status) {
       return fail(kept[number - numDropped - 1]);
   }
   Failure failure = Failure::get(getKind(status.code()), status.message());
-  // "file:line:col", where the file name may contain colons.
+  // The place has the form "file:line:col", where the file name may contain
+  // colons.
   StringRef place = status.where();
   auto [head, column] = place.rsplit(':');
   auto [file, line] = head.rsplit(':');

@@ -22,7 +22,7 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 void InvalidAfterPass::runAfterPassFailed(Pass *pass, Operation *op) {
-  // The passes that contain this pass fail after it.
+  // The passes that contain the failing pass fail after it, and are not noted.
   if (!finding.pass.empty())
     return;
   finding.pass =
@@ -37,8 +37,8 @@ void InvalidAfterPass::runAfterPassFailed(Pass *pass, Operation *op) {
 /// verifier after a pass, or from a conversion that did not lower an op.
 static bool isOurs(const InvalidAfterPass::Finding &finding,
                    StringRef message) {
-  // Compare with the verifier's message, since a pass may also leave an invalid
-  // module after an error in the program.
+  // The error is compared with the verifier's message, since a pass may also
+  // leave an invalid module after an error in the program.
   return (!finding.error.empty() && finding.error == message) ||
          finding.pass == "tai-verify-llvm" ||
          message.starts_with("failed to legalize");

@@ -35,7 +35,8 @@ static void stubKernels(ModuleOp module) {
 /// Drops operations that use nothing of tai and do not belong to the program
 /// `entry`.
 static void keepReachable(ModuleOp module, StringRef entry) {
-  // Mark the program to be lowered even if it contains no op of tai.
+  // The program is marked to be lowered even if it contains no op of the
+  // dialect tai.
   if (auto program = module.lookupSymbol<func::FuncOp>(entry))
     markLowered(program);
   llvm::SetVector<Operation *> needed = collectLowered(module);
@@ -55,8 +56,8 @@ OwningOpRef<ModuleOp> mlir::tai::makeHostModule(ModuleOp module,
                                                 StringRef entry) {
   OwningOpRef<ModuleOp> host = module.clone();
   upgradeFormerChecks(*host);
-  // Reduce kernels to signatures first, so that helpers that only kernels call
-  // are dropped.
+  // Kernels are reduced to signatures first, so that helpers that only kernels
+  // call are dropped.
   stubKernels(*host);
   keepReachable(*host, entry);
   return host;

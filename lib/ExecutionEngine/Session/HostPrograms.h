@@ -13,11 +13,11 @@
 
 namespace mlir::tai {
 
-/// A copy of the module for the host program `entry`, in which kernels are
-/// reduced to signatures, because the host calls them through the runtime.
+/// Returns a copy of the module for the host program `entry`, in which kernels
+/// are reduced to signatures, because the host calls them through the runtime.
 OwningOpRef<ModuleOp> makeHostModule(ModuleOp module, StringRef entry);
 
-/// Whether a host function names a field in an op other than a launch or a
+/// True if a host function names a field in an op other than a launch or a
 /// tape.
 bool usesFields(ModuleOp module);
 

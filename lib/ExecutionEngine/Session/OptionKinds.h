@@ -22,7 +22,7 @@
 namespace mlir::tai::options {
 using llvm::StringRef;
 
-/// A non-negative integer of a signed type.
+/// An option whose value is a non-negative integer of a signed type.
 template <typename Number> struct WholeNumber {
   using Type = Number;
   static std::optional<Type> parse(StringRef text) {
@@ -64,7 +64,8 @@ struct BlockThreads {
   }
 };
 
-/// An integer in any C notation (0x…, 0b…), so that it can be a mask.
+/// An option whose value is an integer in any C notation (0x…, 0b…), so that it
+/// can be a mask.
 struct Seed {
   using Type = uint64_t;
   static std::optional<Type> parse(StringRef text) {
@@ -86,7 +87,8 @@ struct Bounds {
   }
 };
 
-/// Whether a sanitizer is used; AddressSanitizer is the only choice.
+/// An option that says whether a sanitizer is used; AddressSanitizer is the
+/// only choice.
 struct Sanitizer {
   using Type = bool;
   static std::optional<bool> parse(StringRef text) {
@@ -97,13 +99,15 @@ struct Sanitizer {
   }
 };
 
-/// Any text: the option's setter checks the value.
+/// An option whose value is any text, which the option's setter checks.
 struct Text {
   using Type = StringRef;
   static std::optional<Type> parse(StringRef text) { return text; }
 };
 
-/// Any text: the error of the option's setter lists the names of skips.
+/// An option whose value is a set of skips (optimisations that leave out
+/// unneeded work). Any text is accepted; the option's setter parses it, and its
+/// error message lists the names of skips.
 struct Skips : Text {};
 
 } // namespace mlir::tai::options

@@ -37,8 +37,8 @@ LogicalResult mlir::tai::loadPlugin(Session &session, StringRef file) {
   if (!dialects)
     reasons = llvm::toString(dialects.takeError());
   if (!passes)
-    // Keep one of the errors, since both have the same text if there is no such
-    // file.
+    // One of the two errors is kept, since both have the same text if there is
+    // no such file.
     reasons = llvm::toString(passes.takeError());
   if (!dialects && !passes)
     return session.fail(FailureKind::Usage, "cannot load '" + file +
@@ -72,8 +72,8 @@ LogicalResult mlir::tai::runPasses(Session &session, ModuleOp module,
   });
   MLIRContext *context = session.getContext();
   DiagnosticCollector collector(context);
-  // Reject text that nests too deeply, which would overflow the stack of MLIR's
-  // parser.
+  // Text that nests too deeply is rejected, because it would overflow the stack
+  // of MLIR's parser.
   if (!checkText(pipeline, context, "pipeline"))
     return session.fail(collector.take(FailureKind::Syntax));
   std::string text = pipeline.trim().str();

@@ -51,7 +51,7 @@ runInParallel(size_t count,
     if (!thread.start(help, "tai-compile"))
       break;
   work();
-  // Join the threads before the flags that they read are destroyed.
+  // The threads are joined before the flags that they read are destroyed.
   threads.clear();
   return failed < count ? std::optional(failed.load()) : std::nullopt;
 }

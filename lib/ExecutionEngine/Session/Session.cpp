@@ -50,11 +50,12 @@ static void setLowering(LoweringOptions &lowering,
 #define TAI_LOWERING_OPTION(type, member, from, argument, initial, about)      \
   lowering.member = options.from;
 #include "tai/Support/Options.def"
-  // Kernels are already known to callers by name: do not fuse launches.
+  // Kernels are already known to callers by name, so their launches are not
+  // fused.
   lowering.fuseLaunches = false;
 }
 
-/// The pipelines of tai for the options of a kernel.
+/// Returns the pass pipelines of the project, for the options of a kernel.
 static Compiler::Pipelines getPipelines() {
   Compiler::Pipelines pipelines;
   pipelines.autodiff = [](OpPassManager &manager, const CompileOptions &options,
@@ -93,7 +94,7 @@ static Compiler::Pipelines getPipelines() {
 
 Session::Session()
     : pool(std::make_unique<InlineThreadPool>()),
-      // One core is left to the program.
+      // Background jobs use all cores except one, which is for the program.
       background(std::max(1u, std::thread::hardware_concurrency()) - 1) {
   DialectRegistry registry;
   registerAll(registry);
@@ -102,7 +103,8 @@ Session::Session()
       std::make_unique<MLIRContext>(registry, MLIRContext::Threading::DISABLED);
   context->setThreadPool(*pool);
   context->printOpOnDiagnostic(false);
-  // Threads must not load dialects: load all dialects that may be needed now.
+  // Threads must not load dialects, so all dialects that may be needed are
+  // loaded now.
   context->loadAllAvailableDialects();
   RemarkScope::prepare(context.get());
   rt = std::make_unique<runtime::Runtime>();
@@ -123,8 +125,8 @@ Session::Session()
   }
 }
 
-// Stop background jobs before any member is destroyed: a job may use all of
-// them.
+// Background jobs are stopped before any member is destroyed, because a job may
+// use all of them.
 Session::~Session() { background.stop(); }
 
 SessionObjects Session::countObjects() {
@@ -153,7 +155,7 @@ LogicalResult Session::compileEagerly(runtime::Kernel &kernel) {
   runtime::Status status = kernel.resolve();
   if (!status.ok())
     return fail(status);
-  // Ignore a missing adjoint here: it is an error only if a tape needs it.
+  // A missing adjoint is ignored here: it is an error only if a tape needs it.
   if (carriesGradients(kernel))
     (void)kernel.resolveAdjoint(adjoint);
   return success();
@@ -181,7 +183,8 @@ FailureOr<SessionKernel *> Session::parseKernel(StringRef bytes, StringRef file,
   OwningOpRef<ModuleOp> module;
   {
     DiagnosticCollector collector(context.get());
-    // Verify the module later, when it has the declarations that it refers to.
+    // The module is verified later, when it has the declarations that it refers
+    // to.
     ParserConfig config(context.get(), /*verifyAfterParse=*/false);
     module = readModule(bytes, config, file);
     if (!module)
@@ -204,7 +207,8 @@ SessionKernel *Session::findKernel(StringRef name) {
 
 LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
                                bool adjoints) {
-  // Compile primals first: the adjoint of a kernel waits for its primal.
+  // Primals are compiled first, because the adjoint of a kernel waits for its
+  // primal.
   size_t count = kernels.size() * (adjoints ? 2 : 1);
   std::vector<runtime::Status> statuses(count);
   auto failed = runInParallel(count, [&](size_t i) -> const runtime::Status & {
@@ -315,7 +319,7 @@ FailureOr<std::string> Session::explain(SessionKernel &kernel) {
   RemarkScope lowering;
   if (failed(getIR(kernel, "scf")))
     return failure();
-  // A kernel without a gradient has no remarks on one.
+  // These remarks stay empty for a kernel without a gradient.
   RemarkScope gradient;
   CompileRequest::Goal goal = kernel.code->getTapeGoal(*kernel.kernel);
   (void)compiler->print(kernel.code->getRequest(goal), "scf",

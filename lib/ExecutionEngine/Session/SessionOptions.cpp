@@ -60,7 +60,7 @@ void Session::keepChoices(runtime::KeptChoices kept) {
     queue->keepChoices(keptChoices);
 }
 
-/// Whether programs are compiled in the background: on a GPU, where the driver
+/// True if programs are compiled in the background: on a GPU, where the driver
 /// takes seconds to assemble a program. For tests and measurements,
 /// TAI_BACKGROUND_PROGRAMS=1 or 0 decides for every device.
 static bool compilesProgramsInBackground(runtime::DeviceKind kind) {
@@ -153,9 +153,10 @@ LogicalResult Session::setModes(const ContextModes &wanted) {
     compileOptions.deterministic = isDeterministic;
     rt->setTriesBlocks(!isDeterministic);
   }
-  // Another number of threads divides loops differently, and whether an
-  // addition is fused may depend on the end of a vectorised loop. Shadow values
-  // are computed separately for each operation.
+  // In these modes products and sums are not fused: another number of threads
+  // divides loops differently, and whether an addition is fused may depend on
+  // the end of a vectorised loop. Shadow values are computed separately for
+  // each operation.
   compileOptions.codegen.contract =
       !isDeterministic && !modes.isStrict() && !modes.shadow;
   return success();

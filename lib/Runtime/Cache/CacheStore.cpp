@@ -58,7 +58,8 @@ constexpr int64_t journalLife = 24 * 3600; // seconds
 /// An upper bound for the size of an entry, above that of any compiled code: a
 /// file whose header says more is not an entry.
 constexpr uint64_t mostEntryBytes = uint64_t(1) << 31;
-/// Files that a killed process left behind are older than this (seconds).
+/// Temporary files older than this, in seconds, are leftovers of killed
+/// processes.
 constexpr time_t temporaryLife = 3600;
 
 enum Trouble { FolderTrouble, EntryTrouble, WriteTrouble };
@@ -118,7 +119,7 @@ bool writeAll(int file, const char *from, size_t size) {
   return true;
 }
 
-/// Makes the folder and the folders above it, for this user alone.
+/// Makes the cache folder and the folders above it, for this user alone.
 bool makeFolders(const std::string &path) {
   for (size_t at = 1; at != std::string::npos;) {
     at = path.find('/', at);
@@ -207,7 +208,8 @@ int CacheStore::openFolder(std::string &reason) const {
     reason = std::strerror(errno);
     return -1;
   }
-  // Another user's link could be made to point elsewhere at any time.
+  // A link of another user is not followed, since its owner could make it point
+  // elsewhere at any time.
   struct stat link;
   if (lstat(path.c_str(), &link) == 0 && S_ISLNK(link.st_mode) &&
       link.st_uid != geteuid()) {
@@ -256,7 +258,8 @@ std::string CacheStore::fileName(std::string_view key) {
   return name;
 }
 
-/// Reads and checks an entry; `key` may be null where any key will do.
+/// Reads and checks an entry of the cache; `key` may be null if an entry of any
+/// key is wanted.
 std::optional<std::string> CacheStore::readEntry(const std::string &name,
                                                  const std::string_view *key,
                                                  bool &broken) const {
@@ -266,7 +269,7 @@ std::optional<std::string> CacheStore::readEntry(const std::string &name,
       openat(folderDescriptor, name.c_str(),
              O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY));
   if (!file) {
-    // Opening failed on a link or a socket.
+    // Opening an entry fails in this way if the file is a link or a socket.
     broken = errno == ELOOP || errno == ENXIO;
     return std::nullopt;
   }
@@ -360,8 +363,8 @@ bool CacheStore::put(std::string_view key, std::string_view bytes) {
       return renameat(folderDescriptor, temporary.c_str(), folderDescriptor,
                       fileName(key).c_str()) == 0;
     };
-    // A folder with the name of the entry is not ours; it is replaced if it is
-    // empty.
+    // If a folder has the name of the entry, this cache has not made it; an
+    // empty folder is replaced by the entry.
     if (good && !rename() &&
         (errno != EISDIR || !removeFrom(folderDescriptor, fileName(key)) ||
          !rename())) {
@@ -377,7 +380,8 @@ bool CacheStore::put(std::string_view key, std::string_view bytes) {
     return false;
   }
   ++stored;
-  // Looking through the folder takes 0.1 s for 60,000 entries.
+  // Entries are not counted by looking through the folder, which takes 0.1 s
+  // for 60,000 entries.
   if (noteStored(
           static_cast<int64_t>(sizeof(header) + key.size() + bytes.size())))
     prune();
@@ -407,7 +411,7 @@ bool CacheStore::noteStored(int64_t bytes) {
          counted * journalUnit > maxBytes / 16;
 }
 
-/// Replaces the journal by an empty one.
+/// Replaces the journal of stored bytes by an empty one.
 void CacheStore::beginJournal() {
   removeFrom(folderDescriptor, journalName);
   Descriptor file(openat(folderDescriptor, journalName,
@@ -424,7 +428,7 @@ void CacheStore::beginJournal() {
 
 namespace {
 /// A locked file, which is removed before the lock is released. The lock
-/// belongs to the open file, so it ends with the process.
+/// belongs to the open file, so that it ends with the process.
 class LockedFile {
 public:
   LockedFile(int folder, std::string name, int file)
@@ -496,7 +500,8 @@ CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds,
   }
 }
 
-/// The entries to write, and the thread that writes them, if one runs.
+/// The entries that putLater has still to write, and the thread that writes
+/// them, if one runs.
 struct CacheStore::Writer {
   CacheStore *store;
   pid_t process = getpid();
@@ -533,7 +538,7 @@ struct CacheStore::Writer {
 
 CacheStore::Writer &CacheStore::currentWriter() {
   // A forked child does not have the writer's thread, and the parent writes the
-  // entries that it has queued.
+  // entries that it has queued, so the child drops its copy of both.
   if (writer && writer->process != getpid())
     (void)writer.release();
   if (!writer)
@@ -609,8 +614,8 @@ void CacheStore::prune() {
                                           : a.used.tv_nsec < b.used.tv_nsec;
   });
   int64_t removed = 0;
-  // Prune to 7/8 of the limit, so that storing the next entry does not prune
-  // again.
+  // The cache is pruned to 7/8 of its limit, so that storing the next entry
+  // does not prune again.
   for (const Entry &entry : entries) {
     if (total <= maxBytes - maxBytes / 8)
       break;

@@ -135,12 +135,13 @@ Status CudaDevice::open() {
         label + " has compute capability " + std::to_string(major) + "." +
             std::to_string(minor) + ", and 6.0 or newer is needed");
   status = enter();
-  // A stream that is ordered with the default stream, on which other libraries
-  // hand over their arrays.
+  // The device's stream is ordered with the default stream, on which other
+  // libraries hand over their arrays.
   Result made = status ? cu.streamCreate(&stream, 0) : kSuccess;
   if (status && made != kSuccess && made != kOutOfMemory) {
     // A kernel that failed earlier has invalidated the context: all memory of
-    // the context is lost, and so are all objects that depend on it.
+    // the context is lost, and so are all objects that depend on it. So a new
+    // context is made.
     (void)cu.primaryCtxReset(number);
     made = cu.streamCreate(&stream, 0);
   }
@@ -173,7 +174,7 @@ Status CudaDevice::open() {
 }
 
 /// Sets the size of the heap from which running kernels allocate memory, for
-/// the records of loops.
+/// the history of loops in gradients.
 Status CudaDevice::setHeap(size_t memoryBytes) {
   auto wanted = static_cast<size_t>(deviceHeapBytes());
   size_t bytes =
@@ -246,8 +247,8 @@ Status CudaDevice::allocate(int64_t bytes, DevicePtr &memory) {
   Address address = 0;
   status = allocateOnce(bytes, address);
   if (status.code() == StatusCode::Memory && pool) {
-    // The free memory of the pool can be fragmented: return it to the driver
-    // and try again.
+    // The free memory of the driver's pool can be fragmented, so it is returned
+    // to the driver before a second attempt.
     (void)cu.streamSynchronize(stream);
     (void)cu.memPoolTrimTo(pool, 0);
     status = allocateOnce(bytes, address);
@@ -322,8 +323,8 @@ Status CudaDevice::copyIn(DevicePtr to, const void *from, int64_t bytes) {
   if (bytes > largestStaged || entry.isAgain()) {
     status = check(cu.memcpyHtoDAsync(to, from, size, stream),
                    "a copy to the device fails");
-    // If `from` is pinned memory, the call returns before the device has read
-    // it: wait.
+    // If `from` is pinned memory, the copy call returns before the device has
+    // read the memory, so the host waits.
     return status ? synchronize() : std::move(status);
   }
   int64_t room = (bytes + 63) / 64 * 64;
@@ -363,7 +364,7 @@ Status CudaDevice::copyOut(void *to, DevicePtr from, int64_t bytes) {
     status = synchronize();
   if (!status)
     return status;
-  // All queued copies have arrived, so the staging memory is free again.
+  // All queued copies have arrived, so that the staging memory is free again.
   staged = 0;
   std::memcpy(to, piece, size);
   return status;
@@ -450,8 +451,8 @@ Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
   return fillByKernel({&pairs});
 }
 
-/// In a branch of a graph, one block on each multiprocessor leaves room for
-/// concurrent launches.
+/// In a branch of a graph, the fill kernel has one block on each
+/// multiprocessor, which leaves room for concurrent launches.
 Status CudaDevice::fillByKernel(const std::vector<const DeviceFill *> &fills) {
   return kernels.fill(fills, doesOverlap(),
                       branch == Branch::Capturing ? most.multiprocessors : 0);
@@ -463,8 +464,8 @@ Status CudaDevice::fillRows(const DeviceRows &to, const void *pattern,
   return fillByKernel({&fill});
 }
 
-/// A large fill is left to the driver: overlapping it with other launches gains
-/// nothing.
+/// A large fill is left to the driver, since overlapping it with other launches
+/// gains nothing.
 Status CudaDevice::fillAlone(const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;
   bool byKernel = (doesOverlap() || branch == Branch::Capturing) &&
@@ -478,8 +479,8 @@ Status CudaDevice::fillAlone(const DeviceFill &fill) {
 Status CudaDevice::fillAll(const std::vector<DeviceFill> &fills) {
   if (fills.size() == 1)
     return fillAlone(fills.front());
-  // The small fills are one kernel, which comes last: later work is made ready
-  // while that kernel runs.
+  // The small fills are combined in one kernel at the end; the device prepares
+  // later work while that kernel runs.
   Status status;
   int64_t large = largeFillBytes();
   std::vector<const DeviceFill *> together;

@@ -38,7 +38,7 @@ struct CudaFunction : DeviceFunction {
 /// The state of a graph capture on the device's stream.
 struct GraphCapture {
   bool isOpen = false;
-  /// Whether the runtime's own kernels, which copy and fill memory, are
+  /// True if the runtime's own kernels, which copy and fill memory, are
   /// captured with programmatic dependent launch.
   bool overlaps = false;
 };
@@ -120,7 +120,8 @@ private:
     return failure(result, what);
   }
   Status failure(Result result, const char *what) const;
-  /// Another library may have set another context for this thread.
+  /// True if the device's context is current for this thread. The driver is
+  /// asked, because another library may have set another context.
   bool isCurrent() const {
     Context current = nullptr;
     return cu.ctxGetCurrent(&current) == kSuccess && current == context;
@@ -133,8 +134,8 @@ private:
       enteredLast = identity;
     return status;
   }
-  /// Enters the device without a call of the driver if this thread entered it
-  /// last; for launches.
+  /// Makes the device's context current for this thread, without a call of the
+  /// driver if this thread was the last to do so; for launches.
   Status enterOnce() const {
     return __builtin_expect(enteredLast == identity, true) ? Status::success()
                                                            : enter();
@@ -146,17 +147,19 @@ private:
   static uint64_t getNextIdentity();
   Status allocateOnce(int64_t bytes, Address &address);
   Status setHeap(size_t memoryBytes);
-  /// Makes later work in `second` wait for the work now in `first`.
+  /// Makes work that is queued later in the stream `second` wait for the work
+  /// now in the stream `first`.
   Status order(Stream first, Stream second);
   Status launchOverlapped(Function handle, const LaunchShape &shape,
                           void **parameters);
   Status fillByKernel(const std::vector<const DeviceFill *> &fills);
   Status fillAlone(const DeviceFill &fill);
-  /// Whether the runtime's own kernels, which copy and fill memory, use
+  /// True if the runtime's own kernels, which copy and fill memory, use
   /// programmatic dependent launch now: only within a capture that allows it.
   bool doesOverlap() const { return capture.isOpen && capture.overlaps; }
 
-  /// Small copies go through pinned host memory.
+  /// A buffer of pinned host memory, through which small copies to the device
+  /// are made.
   static constexpr int64_t stagingBytes = 256 << 10;
   static constexpr int64_t largestStaged = 32 << 10;
 
@@ -165,7 +168,7 @@ private:
   Context context = nullptr;
   Stream stream = nullptr;
   GraphCapture capture;
-  /// Whether the last work of the stream is a kernel.
+  /// True if the last work queued on the stream is a kernel.
   bool isAfterKernel = false;
   /// A second stream, for a branch of a graph, or null.
   Stream side = nullptr;
@@ -187,15 +190,16 @@ private:
   /// changed.
   size_t numChangeable = 0;
 
-  /// Polls, with safepoints, until `query` is no longer "not ready".
+  /// Polls the device, with safepoints, until `query` is no longer "not ready".
   template <typename Query>
   Status waitUntilReady(const Query &query, Result &result);
   /// Asks kernels with safepoints to stop, and waits briefly for their end.
   template <typename Query> void stopLoops(const Query &query);
 
-  /// The stop word in device memory, or 0; a separate stream to write it while
-  /// kernels run; and the source of the copies: zero, and the number of the
-  /// thread that asks.
+  /// The word in device memory by which running kernels are asked to stop, or
+  /// 0; a separate stream to write this word while kernels run; and two numbers
+  /// in host memory that are copied to it: zero, and the number of the thread
+  /// that asks.
   DevicePtr stopWord = 0;
   Stream stopStream = nullptr;
   uint32_t *stopSource = nullptr;
@@ -221,7 +225,7 @@ struct CudaGraph : DeviceGraph {
     if (recorded)
       (void)device.cu.graphDestroy(recorded);
   }
-  /// Finds the nodes of the first `count` launches in the captured graph, where
+  /// Finds the nodes of the first `count` launches in the captured graph, if
   /// these launches form a chain.
   void findNodes(size_t count);
 

@@ -90,7 +90,7 @@ Status CudaKernels::runPairs(Kernel kernel, const DeviceRows &one,
 // Fills
 //===----------------------------------------------------------------------===//
 
-/// Collects fills for a launch of the fill kernel.
+/// Collects fills of device memory for one launch of the fill kernel.
 struct CudaKernels::Filling {
   CudaKernels &kernels;
   bool overlaps;
@@ -118,7 +118,7 @@ Status CudaKernels::Filling::run() {
       std::min<uint64_t>(table.entries[table.count - 1].end,
                          mostBlocks ? mostBlocks : kernels.fillBlocks));
   shape.overlaps = overlaps;
-  // The kernel has one parameter: the whole table.
+  // The fill kernel has a single parameter, the table of all fills.
   constexpr size_t words = sizeof(table) / sizeof(uint64_t);
   uint64_t slots[words];
   std::memcpy(slots, &table, sizeof(table));

@@ -25,18 +25,19 @@ public:
 
   explicit CudaKernels(Device &device) : device(device) {}
 
-  /// Loads the kernels. Not done on first use, which may be during a graph
-  /// capture.
+  /// Loads the kernels that copy and fill memory. Not done on first use, which
+  /// may be during a graph capture.
   Status load();
-  /// Unloads the kernels; call while the device can still be used.
+  /// Unloads the runtime's own kernels. Must be called while the device can
+  /// still be used.
   void unload() { module.reset(); }
 
-  /// Runs a copy or swap kernel on the rows `one` and equally many rows from
+  /// Runs a copy or swap kernel on the rows in `one` and equally many rows from
   /// address `other` on. `overlaps`: with programmatic dependent launch.
   Status runPairs(Kernel kernel, const DeviceRows &one, DevicePtr other,
                   int64_t otherStep, bool overlaps);
-  /// Runs all fills, with at most `mostBlocks` blocks; if that is 0, as many as
-  /// can be resident.
+  /// Runs all fills by one kernel, with at most `mostBlocks` blocks; if that is
+  /// 0, as many as can be resident.
   Status fill(const std::vector<const DeviceFill *> &fills, bool overlaps,
               unsigned mostBlocks);
 
@@ -45,14 +46,14 @@ private:
                  std::initializer_list<uint64_t> parameters);
   struct Filling;
 
-  /// The kernels copy units of 1, 4, 8 or 16 bytes.
+  /// The number of unit sizes of the copy kernels: 1, 4, 8 or 16 bytes.
   static constexpr int kUnits = 4;
 
   Device &device;
   std::unique_ptr<DeviceModule> module;
   DeviceFunction *rows[kUnits][2] = {};
   DeviceFunction *filler = nullptr;
-  /// The number of blocks of the fill kernel that can be resident.
+  /// The number of blocks of the fill kernel that can be resident at once.
   unsigned fillBlocks = 1;
 };
 

@@ -34,7 +34,8 @@ public:
   ContextShare(const ContextShare &) = delete;
   ContextShare &operator=(const ContextShare &) = delete;
 
-  /// Runs `work`; returns false if the context cannot be used.
+  /// Runs `work` with the device's context current; returns false if the
+  /// context cannot be used.
   template <typename Work> bool within(const Work &work) const {
     Context before = nullptr;
     if (!context || cu.ctxGetCurrent(&before) != kSuccess ||
@@ -61,7 +62,7 @@ static void assemble(const Driver &cu, DeviceImage &image) {
     return;
   void *code = nullptr;
   size_t bytes = 0;
-  // The driver reads a text up to its terminating zero.
+  // The driver reads a PTX text up to its terminating zero.
   if (cu.linkAddData(state, kJitInputPtx, image.bytes.data(),
                      image.bytes.size() + 1, "tai", 0, nullptr,
                      nullptr) == kSuccess &&
@@ -93,8 +94,8 @@ Status CudaDevice::load(const DeviceImage &image,
       module = std::move(loaded);
       return status;
     }
-    // Cached machine code may be for another driver; the PTX, loaded below,
-    // runs on all drivers.
+    // Cached machine code may be for another driver, so it is tried first; the
+    // PTX, which is loaded below, runs on all drivers.
     loaded->handle = nullptr;
   }
   constexpr unsigned logBytes = 16 << 10;
@@ -163,7 +164,8 @@ unsigned CudaDevice::residentBlocks(const DeviceFunction &function,
 
 Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                           const uint64_t *slots, int count) {
-  // The maximum number of parameters: the driver takes 4096 bytes of them.
+  // The maximum number of parameters of a launch: the driver takes 4096 bytes
+  // of them.
   constexpr int mostParameters = 512;
   void *parameters[mostParameters];
   if (__builtin_expect(count > mostParameters, false))
@@ -182,8 +184,8 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                              : launchOverlapped(handle, shape, parameters);
   }
   isAfterKernel = true;
-  // For a thread without a context, the driver rejects a kernel, but crashes on
-  // a graph.
+  // For a thread without a CUDA context, the driver rejects a kernel, but
+  // crashes on a graph, so graphs need a check.
   if (Status status = enterOnce(); !status)
     return status;
   if (!capture.isOpen && !shape.cooperative &&
@@ -199,8 +201,8 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                                  shape.sharedBytes, stream, parameters,
                                  nullptr);
   };
-  // Another library may have set another context meanwhile. The driver then
-  // rejects the launch, so that launches need not query the context first.
+  // If another library has set another context meanwhile, the driver rejects
+  // the launch, so that launches need not query the context first.
   Result result = launchOnce();
   if (__builtin_expect(result != kSuccess, false) && !isCurrent()) {
     Status status = enter();
@@ -209,7 +211,7 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
     result = launchOnce();
   }
   // The limits of a function do not count resources that tools and other
-  // contexts take: shrink the blocks until the driver accepts them.
+  // contexts take, so the blocks are shrunk until the driver accepts them.
   constexpr unsigned warp = 32;
   while (__builtin_expect(result == kLaunchOutOfResources, false) &&
          shape.canShrink && threads > warp) {
@@ -306,7 +308,8 @@ void CudaGraph::findNodes(size_t count) {
   Node node = nullptr;
   size_t found = 1;
   int kind = 0;
-  // A stream records a chain: one root, and one dependent node for each node.
+  // A stream that was captured gives a chain of graph nodes: one root, and one
+  // dependent node for each node.
   if (cu.graphGetRootNodes(recorded, nullptr, &found) != kSuccess ||
       found != 1 || cu.graphGetRootNodes(recorded, &node, &found) != kSuccess)
     return;
@@ -411,7 +414,8 @@ template <typename Query> void CudaDevice::stopLoops(const Query &query) {
   // them, and after all kernels that must stop. The copy of zero may be seconds
   // late on a GPU that other processes use, too.
   (void)cu.memcpyHtoDAsync(stopWord, &stopSource[0], sizeof(uint32_t), stream);
-  // Kernels that see the number end soon. Other work need not end in this time.
+  // Kernels that see the stop word end soon. Other work need not end in this
+  // time.
   constexpr std::chrono::milliseconds patience(500);
   auto end = std::chrono::steady_clock::now() + patience;
   PollPause pause;
@@ -419,8 +423,8 @@ template <typename Query> void CudaDevice::stopLoops(const Query &query) {
     pause();
 }
 
-/// An interrupted wait ends kernels that poll the stop word. Other work stays
-/// in the queue, and the next wait waits for it.
+/// Waits for the device. An interrupted wait ends kernels that poll the stop
+/// word. Other work stays in the queue, and the next wait waits for it.
 template <typename Query>
 Status CudaDevice::waitUntilReady(const Query &query, Result &result) {
   safepoint::Watch watch;
@@ -489,7 +493,8 @@ static bool isDefault(uint64_t stream) {
 }
 
 Status CudaDevice::waitForStream(uint64_t other) {
-  // The next kernel must not start early, before the work of the other stream.
+  // The next kernel must not start early by programmatic dependent launch,
+  // before the work of the other stream.
   isAfterKernel = false;
   return isDefault(other) ? Status::success()
                           : order(reinterpret_cast<Stream>(other), stream);
@@ -504,8 +509,8 @@ Status CudaDevice::order(Stream first, Stream second) {
   Status status = enter();
   if (!status)
     return status;
-  // A wait refers to the last record of the event before the wait was queued:
-  // the event can be recorded again at once.
+  // A wait refers to the last record of the event before the wait was queued,
+  // so the event can be recorded again at once.
   std::lock_guard<std::mutex> lock(orderMutex);
   if (!orderEvent)
     status = check(cu.eventCreate(&orderEvent, kEventNoTiming),
@@ -523,7 +528,7 @@ Status CudaDevice::order(Stream first, Stream second) {
 // Beside other work
 //===----------------------------------------------------------------------===//
 
-/// Runs the fills in a branch of the graph: a second stream records them while
+/// Runs fills in a branch of the graph: a second stream records them while
 /// `stream` is recorded.
 Status CudaDevice::fillAside(const std::vector<DeviceFill> &fills) {
   if (!side || !capture.isOpen || branch != Branch::None)
@@ -544,7 +549,7 @@ Status CudaDevice::fillAside(const std::vector<DeviceFill> &fills) {
 }
 
 /// Later work depends on two branches rather than on one kernel, so the next
-/// kernel does not start early.
+/// kernel does not start early by programmatic dependent launch.
 Status CudaDevice::joinAside() {
   if (branch == Branch::None)
     return Status::success();

@@ -42,8 +42,8 @@ static Status load(const std::string &file, Driver &driver) {
                                (why ? why : "unknown error") +
                                "); install the NVIDIA driver, or use the CPU");
   }
-  // Check the version before the functions are looked up: an old driver lacks
-  // some.
+  // The version is checked before the functions are looked up, because an old
+  // driver lacks some of them.
   auto version =
       reinterpret_cast<Result (*)(int *)>(dlsym(library, "cuDriverGetVersion"));
   int found = 0;
@@ -70,7 +70,8 @@ static Status load(const std::string &file, Driver &driver) {
 }
 
 Status Driver::get(const Driver *&driver) {
-  // The library stays loaded: it cannot be initialised twice.
+  // The driver's library stays loaded until the process ends, since it cannot
+  // be initialised twice.
   static std::mutex mutex;
   static auto &drivers = *new std::map<std::string, std::unique_ptr<Driver>>;
   std::lock_guard<std::mutex> lock(mutex);

@@ -44,7 +44,7 @@ constexpr Result kDeinitialized = 4;
 constexpr Result kNoDevice = 100;
 constexpr Result kInvalidPtx = 218;
 constexpr Result kUnsupportedPtxVersion = 222;
-// Errors after a kernel has accessed memory out of range.
+// Error codes after a kernel has accessed memory out of range.
 constexpr Result kIllegalAddress = 700;
 constexpr Result kLaunchOutOfResources = 701;
 constexpr Result kHardwareStackError = 714;
@@ -77,11 +77,12 @@ constexpr int kFunctionAnyCluster = 14;
 constexpr unsigned kLaunchCooperative = 2;
 constexpr unsigned kLaunchCluster = 4;
 constexpr unsigned kLaunchOverlapped = 6;
-// Capture mode: a graph capture does not restrict calls of other threads.
+// The capture mode in which a graph capture does not restrict calls of other
+// threads.
 constexpr int kCaptureThreadLocal = 1;
 // Kinds of nodes of graphs.
 constexpr int kNodeKernel = 0;
-// Streams: no implicit order with the default stream.
+// The flag of streams that have no implicit order with the default stream.
 constexpr unsigned kStreamNonBlocking = 1;
 // Flags of events.
 constexpr unsigned kEventDefault = 0;
@@ -90,9 +91,9 @@ constexpr unsigned kEventNoTiming = 2;
 constexpr uintptr_t kLegacyStream = 1;
 // Attributes of pools.
 constexpr int kPoolReleaseThreshold = 4;
-// Managed memory: accessible from all streams.
+// The flag of managed memory that is accessible from all streams.
 constexpr unsigned kAttachGlobal = 1;
-// Attributes of addresses, and types of memory.
+// Attributes of addresses, and types of memory, as the driver numbers them.
 constexpr int kAddressMemoryType = 2;
 constexpr unsigned kMemoryTypeDevice = 2;
 constexpr unsigned kMemoryTypeUnified = 4;
@@ -255,8 +256,8 @@ struct Driver {
   /// device is detected".
   std::string describe(Result result) const;
 
-  /// Loads the library, once for the process, and makes sure that it is new
-  /// enough.
+  /// Loads the CUDA driver library, once for the process, and makes sure that
+  /// it is new enough.
   static Status get(const Driver *&driver);
 };
 

@@ -16,7 +16,7 @@
 #ifndef TAI_LIB_RUNTIME_CUDA_FILLTABLE_H
 #define TAI_LIB_RUNTIME_CUDA_FILLTABLE_H
 
-// Qualifiers of the functions below.
+// Qualifiers of the functions below, which host and device code compile.
 #ifndef TAI_FILL_FUNCTION
 #define TAI_FILL_FUNCTION static inline
 #endif
@@ -34,15 +34,16 @@ static const TaiFillSize taiFillMostBytes = 0xf0000000;
 /// An entry of a fill table: rows of whole units, and for a single row also
 /// some bytes before and after the units.
 typedef struct {
-  /// The address of the first unit, a multiple of the unit's size.
+  /// The address of the first unit of the fill, a multiple of the unit's size.
   TaiFillSize address;
-  /// The pattern that each row starts with and repeats.
+  /// The pattern that each row of the fill starts with and repeats.
   TaiFillSize pattern;
   /// The number of units of the fill in total, and in each row.
   TaiFillSize units, rowUnits;
-  /// Number of rows in a group; strides of rows and of groups, in units.
+  /// The number of rows of strided memory in a group; the strides of rows and
+  /// of groups, in units.
   TaiFillSize rows, step, outerStep;
-  /// The number of tiles of this entry and all entries before it.
+  /// The number of tiles of this entry and all entries before it in the table.
   TaiFillSize end;
   /// The bytes of a unit: 1, 4, 8 or 16. For a single row, the number of bytes
   /// (below 16) before the first unit and after the last.
@@ -95,14 +96,14 @@ TAI_FILL_FUNCTION void taiFillAdd(TaiFillTable *table, TaiFillSize address,
   if (entry.units == 0 && entry.head == 0 && entry.tail == 0)
     return;
   entry.end = before + (entry.units + tileUnits - 1) / tileUnits;
-  // A fill without whole units still needs a tile.
+  // A fill without whole units still needs a tile, for its single bytes.
   if (entry.units == 0)
     entry.end = before + 1;
   table->entries[table->count++] = entry;
 }
 
-/// Returns the position of unit i, in units from the first unit; sets `*at` to
-/// its position in its row.
+/// Returns the position in memory of unit i of a fill, in units from the first
+/// unit; sets `*at` to its position in its row.
 TAI_FILL_FUNCTION TaiFillSize taiFillPlace(const TaiFillEntry *entry,
                                            TaiFillSize i, TaiFillSize *at) {
   *at = i;

@@ -16,7 +16,7 @@ static std::atomic<int> numGraphs{0};
 
 void RepeatedLaunch::release() {
   if (executable) {
-    // The driver frees the graph when the queued launches have run.
+    // The driver frees the graph when the launches queued with it have run.
     (void)cu.graphExecDestroy(executable);
     --numGraphs;
   }

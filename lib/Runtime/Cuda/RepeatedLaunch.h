@@ -21,7 +21,7 @@
 
 namespace mlir::tai::runtime::cuda {
 
-/// The parameters of the graph node that makes this launch.
+/// Returns the parameters of the graph node that makes this launch.
 inline KernelNodeParameters nodeOf(Function function, const LaunchShape &shape,
                                    void **parameters) {
   return {function,          {shape.blocks, 1, 1}, {shape.threads, 1, 1},
@@ -32,7 +32,7 @@ inline KernelNodeParameters nodeOf(Function function, const LaunchShape &shape,
 class RepeatedLaunch {
 public:
   explicit RepeatedLaunch(const Driver &driver) : cu(driver) {}
-  /// The context of the device must be current.
+  /// Frees the graph. The context of the device must be current.
   ~RepeatedLaunch() { release(); }
   RepeatedLaunch(const RepeatedLaunch &) = delete;
   RepeatedLaunch &operator=(const RepeatedLaunch &) = delete;
@@ -60,7 +60,7 @@ private:
   Graph graph = nullptr;
   Node node = nullptr;
   ExecutableGraph executable = nullptr;
-  /// The launch that the graph holds.
+  /// The shape of the launch that the graph holds.
   unsigned blocks = 0, threads = 0, sharedBytes = 0;
   std::vector<uint64_t> values;
 };

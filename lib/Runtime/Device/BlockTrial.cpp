@@ -38,7 +38,8 @@ void BlockTrial::choose(size_t size) {
 Status BlockTrial::time(Device &device, int64_t iterations, size_t size,
                         const std::function<Status(Size)> &launch) {
   Timed now{size, iterations, nullptr, nullptr};
-  // A candidate that cannot be timed is launched without a measurement.
+  // A candidate block size that cannot be timed is launched without a
+  // measurement.
   bool isTimed = device.record(now.begin).ok();
   Status status = launch(sizes[size]);
   isTimed = isTimed && status.ok() && device.record(now.end).ok();
@@ -111,8 +112,8 @@ std::optional<size_t> BlockTrials::parse(const std::string &bytes) const {
 std::unique_ptr<BlockTrial> BlockTrials::make(unsigned sizeClass) const {
   if (key.empty() || !kept.load || !kept.store)
     return std::make_unique<BlockTrial>(sizes);
-  // The key contains the candidates: among other candidates, another size may
-  // win.
+  // The key contains the candidate sizes, because among other candidates
+  // another size may win.
   std::string full = "block size\n" + key + "\n" + std::to_string(sizeClass);
   for (BlockTrial::Size size : sizes)
     full += "\n" + describe(size);

@@ -29,8 +29,8 @@ extern "C" void *tai_emu_allocate(uint64_t bytes) {
   constexpr int64_t usual = int64_t(4) << 30;
   int64_t limit = mlir::tai::runtime::deviceHeapBytes();
   auto size = static_cast<int64_t>(bytes);
-  // Like the allocator of the CUDA driver, this one returns null for zero
-  // bytes.
+  // This allocator returns null for zero bytes, like the allocator of the CUDA
+  // driver.
   if (size <= 0 || used.fetch_add(size) + size > (limit ? limit : usual)) {
     if (size > 0)
       used.fetch_sub(size);

@@ -39,7 +39,8 @@ struct Record {
   std::vector<int32_t> kinds, shapes;
   std::string text, where;
 
-  /// Decodes a record from `bytes`; returns false if they do not form one.
+  /// Decodes a record of device code from `bytes`; returns false if they do not
+  /// form one.
   bool parse(const char *bytes, uint64_t available);
   std::string format();
 
@@ -55,8 +56,8 @@ bool Record::parse(const char *bytes, uint64_t available) {
   if (header.bytes > available || header.bytes > TAI_DEVICE_RECORD_BYTES ||
       header.bytes % 8 || header.count < 0 || header.slots < 0)
     return false;
-  // Check that no size exceeds the limit of a record, so that their sum cannot
-  // wrap.
+  // Each size is compared with the limit of a record, so that the sum of the
+  // sizes cannot wrap.
   constexpr uint64_t most = TAI_DEVICE_RECORD_BYTES;
   auto count = static_cast<uint64_t>(header.count);
   auto slotCount = static_cast<uint64_t>(header.slots);

@@ -35,25 +35,26 @@ bool mlir::tai::runtime::isDense(const DeviceRows &rows) {
   return rows.rows == 1 && rows.outer == 1;
 }
 
-/// The address after the last byte of the rows.
+/// The address after the last byte of strided rows.
 static uint64_t endOf(const DeviceRows &rows) {
   return rows.address +
          static_cast<uint64_t>((rows.outer - 1) * rows.outerStep +
                                (rows.rows - 1) * rows.step + rows.rowBytes);
 }
 
-/// All rows start at multiples of this distance after the first row; 0 for a
-/// single row.
+/// Returns the distance of which the starts of all rows are multiples, counted
+/// from the first row; 0 for a single row.
 static int64_t pitchOf(const DeviceRows &rows) {
   return std::gcd(rows.rows > 1 ? rows.step : 0,
                   rows.outer > 1 ? rows.outerStep : 0);
 }
 
-/// True only if the two sets of rows have no byte in common.
+/// True only if two sets of strided rows have no byte in common.
 static bool areApart(const DeviceRows &a, const DeviceRows &b) {
   if (endOf(a) <= b.address || endOf(b) <= a.address)
     return true;
-  // The rows of fields that share cells are interleaved.
+  // The rows of fields that share cells are interleaved: their address ranges
+  // overlap, but their bytes do not.
   int64_t pitch = std::gcd(pitchOf(a), pitchOf(b));
   if (pitch == 0)
     return false;
@@ -84,7 +85,8 @@ bool mlir::tai::runtime::isFilledAgain(const DeviceFill &earlier,
 //===----------------------------------------------------------------------===//
 
 bool FillRun::add(const DeviceFill &fill) {
-  // Limits comparisons, since each fill is compared with all others.
+  // The number of pending fills is limited, since each new fill is compared
+  // with all of them.
   constexpr size_t most = 64;
   if (fills.size() >= most)
     return false;
@@ -99,8 +101,8 @@ bool FillRun::add(const DeviceFill &fill) {
     }
     if (!isDense(before.rows) || !isDense(fill.rows))
       return false;
-    // Keep the parts of the earlier fill before and after the new one, if both
-    // cuts are between repetitions of the pattern.
+    // If both cuts lie between repetitions of the pattern, the parts of the
+    // earlier fill before and after the new fill are kept.
     uint64_t begin = before.rows.address, end = endOf(before.rows);
     uint64_t from = std::max(begin, fill.rows.address);
     uint64_t to = std::min(end, endOf(fill.rows));
@@ -123,7 +125,8 @@ bool FillRun::add(const DeviceFill &fill) {
 // Default implementations
 //===----------------------------------------------------------------------===//
 
-/// Runs the fills in reverse, to expose callers that rely on their order.
+/// The default implementation runs the fills in reverse, to expose callers that
+/// rely on their order.
 Status Device::fillAll(const std::vector<DeviceFill> &fills) {
   Status status;
   for (auto fill = fills.rbegin(); status && fill != fills.rend(); ++fill)

@@ -66,7 +66,7 @@ extern "C" void tai_emu_next_in_group(void) {
 }
 extern "C" void tai_emu_end_group(void) { place = group.before; }
 
-/// The stop word that has told the kernel of this thread to end, or null.
+/// The word that has told the kernel of this thread to stop, or null.
 static thread_local uint32_t *stoppedAt = nullptr;
 
 extern "C" void tai_emu_look(uint32_t *stop) {
@@ -82,12 +82,13 @@ using ThreadFunction = void (*)(const uint64_t *slots);
 
 struct EmulatedFunction : DeviceFunction {
   ThreadFunction run = nullptr;
-  /// The most threads that a block of the function can have; 1 for programs,
-  /// whose code is for several blocks and runs as one thread.
+  /// The most threads that a block of the function can have; 1 for a program of
+  /// several kernels, which the emulated device runs with one thread.
   unsigned mostThreads = 1;
 };
 
-/// Work has ended when the call that queues it returns, so an event is a time.
+/// An event of the emulated device is a time: work has ended when the call that
+/// queues it returns.
 struct EmulatedEvent : DeviceEvent {
   std::chrono::steady_clock::time_point time;
 };
@@ -131,8 +132,8 @@ public:
                                                      formatBytes(bytes) +
                                                      " left");
     memory = reinterpret_cast<DevicePtr>(mapped);
-    // Fill new memory with garbage, since no code may rely on zeros; in a large
-    // allocation, only the start is filled.
+    // New memory is filled with garbage, since no code may rely on zeros; in a
+    // large allocation, only the start is filled.
     std::memset(mapped, 0xa5,
                 static_cast<size_t>(std::min<int64_t>(bytes, 16 << 20)));
     allocations.emplace(memory, bytes);
@@ -190,7 +191,7 @@ public:
     Status status = check(to, bytes);
     if (status)
       status = check(from, bytes);
-    // Overlapping ranges are moved in one piece, without safepoints.
+    // Ranges that overlap are moved by one memmove, without safepoints.
     bool isApart = to + static_cast<DevicePtr>(bytes) <= from ||
                    from + static_cast<DevicePtr>(bytes) <= to;
     if (!status)
@@ -250,7 +251,8 @@ public:
       status = checkRows({other, otherStep, one.rowBytes, one.rows});
     if (!status)
       return status;
-    // An exchange is not stopped halfway, which would leave both sides useless.
+    // A swap of two ranges is not stopped halfway, which would leave both sides
+    // useless.
     return forEachPiece(
         one, /*canStop=*/false, [&](int64_t row, int64_t at, int64_t bytes) {
           char *mine = reinterpret_cast<char *>(rowOf(one, row)) + at;
@@ -439,8 +441,8 @@ private:
                                   (rows.rows - 1) * rows.step + rows.rowBytes);
   }
 
-  /// Calls move(row, first byte, bytes) for pieces of rows, with safepoints in
-  /// between.
+  /// Calls move(row, first byte, bytes) for pieces of device memory rows, with
+  /// safepoints in between.
   template <typename Move>
   static Status forEachPiece(const DeviceRows &rows, bool canStop,
                              const Move &move) {

@@ -22,7 +22,8 @@ unsigned mlir::tai::runtime::emulatedThreads() {
   long number = given ? std::strtol(given, nullptr, 10) : 1;
   if (number <= 1)
     return 1;
-  // Round up to whole warps, which ordered additions need.
+  // The number of threads is rounded up to whole warps, which ordered additions
+  // need.
   auto threads = static_cast<unsigned>(std::min(number, 1024l));
   return (threads + kEmulatedWarp - 1) / kEmulatedWarp * kEmulatedWarp;
 }
@@ -32,8 +33,9 @@ enum class State { Ready, AtWarpBarrier, AtBlockBarrier, Ended };
 
 struct Thread {
   State state = State::Ready;
-  /// The values of the last two exchanges, which other threads of the warp
-  /// read. A slot is free again after the next exchange.
+  /// The values that this emulated thread passed in the last two exchanges,
+  /// which other threads of the warp read. A slot is free again after the next
+  /// exchange.
   uint64_t published[2] = {};
   unsigned exchanges = 0;
 };
@@ -56,14 +58,14 @@ public:
                     MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
     return memory != MAP_FAILED;
   }
-  /// Resumes the fiber where it left, until it leaves again.
+  /// Resumes the fiber where it was suspended, until it suspends itself again.
   void enter(std::jmp_buf &from, void (*start)());
   void leave(std::jmp_buf &to) {
     if (_setjmp(place) == 0)
       _longjmp(to, 1);
   }
-  /// Called if the thread on this fiber will never end; the next entry starts
-  /// anew.
+  /// Notes that the thread on this fiber will never end, so that the next entry
+  /// starts anew.
   void abandon() { isStarted = false; }
 
 private:
@@ -79,8 +81,8 @@ public:
       : body(body), threads(threads) {}
 
   bool run(uint64_t order);
-  /// Suspends the running thread, in state `barrier`, until the scheduler
-  /// resumes it.
+  /// Suspends the running thread at a barrier, in state `barrier`, until the
+  /// scheduler resumes it.
   void meet(State barrier);
   unsigned size() const { return static_cast<unsigned>(threads.size()); }
   uint64_t exchange(uint64_t value, uint32_t from);
@@ -137,7 +139,8 @@ void Block::start() {
   }
 }
 
-/// Resumes the warps of which every thread has come to a warp barrier or ended.
+/// Resumes the warps of an emulated block in which every thread has come to a
+/// warp barrier or ended.
 bool Block::releaseWarps() {
   bool any = false;
   for (unsigned first = 0; first < size(); first += kEmulatedWarp) {
@@ -159,7 +162,8 @@ bool Block::releaseWarps() {
   return any;
 }
 
-/// Resumes all threads if each thread has come to a block barrier or ended.
+/// Resumes all threads of an emulated block if each thread has come to a block
+/// barrier or ended.
 bool Block::releaseBlock() {
   for (const Thread &thread : threads)
     if (thread.state != State::AtBlockBarrier && thread.state != State::Ended)
@@ -199,8 +203,8 @@ bool Block::run(uint64_t order) {
   return allEnded;
 }
 
-/// Shows a value to the warp. Returns the slot of `published` in which all
-/// threads of the warp have their values.
+/// Passes a value to all threads of the warp. Returns the slot of `published`
+/// in which the threads have their values.
 unsigned Block::publish(uint64_t value) {
   Thread &self = threads[running];
   unsigned slot = self.exchanges++ % 2;

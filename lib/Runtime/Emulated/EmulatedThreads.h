@@ -22,11 +22,12 @@ namespace mlir::tai::runtime {
 
 constexpr unsigned kEmulatedWarp = 32;
 
-/// The block size from TAI_EMULATED_THREADS, in whole warps; 1 if not set.
+/// The block size of the emulated device, from the environment variable
+/// TAI_EMULATED_THREADS, in whole warps; 1 if not set.
 unsigned emulatedThreads();
 
-/// Calls body() as each of `threads` threads of a block. Returns false on a
-/// deadlock: threads wait at a barrier that other threads never reach.
+/// Calls body() as each of `threads` emulated threads of a block. Returns false
+/// on a deadlock: threads wait at a barrier that other threads never reach.
 bool runEmulatedBlock(unsigned threads, uint64_t order,
                       const std::function<void()> &body);
 

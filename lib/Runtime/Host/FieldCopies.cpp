@@ -22,7 +22,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// The number of bytes that a worker must copy to repay its fork.
+/// The number of bytes that a worker thread must copy to be worth the cost of
+/// the fork.
 static constexpr int64_t bytesPerPart = 128 << 10;
 constexpr int64_t bytesPerSafepoint = FieldCopies::bytesPerSafepoint;
 
@@ -94,8 +95,8 @@ bool FieldCopies::runParts(
       interrupts == Interrupts::Stop,
       {},
       {}};
-  // The clock that tells threads to look for interrupts may have stopped; this
-  // look restarts it.
+  // The clock that tells threads to look for interrupts may have stopped;
+  // looking once restarts it.
   if (job.isLong && !safepoint::look() && job.canStop)
     return false;
   workers.parallel(
@@ -130,7 +131,8 @@ bool FieldCopies::forEachRow(const Field &field, Data *data,
   int rank = field.rank();
   if (field.numElements() == 0)
     return true;
-  // The address offset of each index value: by a constant step, or by a table.
+  // For each value of an index, the offset that it adds to the address: by a
+  // constant step, or by a table.
   std::vector<std::vector<int64_t>> tables(static_cast<size_t>(rank));
   std::vector<int64_t> steps(static_cast<size_t>(rank), 0);
   for (int d = 0; d < rank; ++d) {
@@ -197,7 +199,8 @@ static void alongRow(const RowPart<Data> &row, const Body &body) {
       body(row.base + k * row.step, row.first + k);
 }
 
-/// Calls body with the number of bytes, as a constant for the usual numbers.
+/// Calls `body` with the number of bytes of an element, as a compile-time
+/// constant for the usual numbers.
 template <typename Body> static void withSize(int64_t bytes, const Body &body) {
   switch (bytes) {
   case 1:

@@ -26,8 +26,9 @@ void Gradients::owe(const FieldPtr &adjoint,
   if (!adjoint->valid() || !adjoint->dirty())
     return;
   adjoint->settleZeros();
-  // In forward mode, zeros are stored now in the adjoint and its tangent. In
-  // exported memory they are, too: other libraries may read it at any time.
+  // In forward mode, zeros are stored now in the adjoint and its tangent. They
+  // are stored now in exported memory, too, because other libraries may read it
+  // at any time.
   bool forward = recordings.isForward();
   Field *dual = forward ? adjoint->dual() : nullptr;
   if (dual && dual->valid())
@@ -80,7 +81,7 @@ void Gradients::forget(const Tree &tree) {
 // Clearing
 //===----------------------------------------------------------------------===//
 
-/// Whether the fields share cells in which the element of the second field
+/// True if the fields share cells in which the element of the second field
 /// directly follows the element of the first.
 static bool endsBeside(const Field &first, const Field &second) {
   int64_t bytes = first.numComponents() * byteSize(first.scalar());

@@ -37,8 +37,8 @@ bool HostWrites::perform(const HostWrite &write,
   return isWhole;
 }
 
-/// Compares an array with the field, piece by piece. Also returns false if the
-/// host has interrupted the comparison.
+/// Compares an array with the contents of a field, piece by piece. Also returns
+/// false if the host has interrupted the comparison.
 static bool isEqual(const Field &field, const char *array) {
   Slabs slabs(field);
   std::shared_ptr<void> memory = field.tree().sharedMemory();
@@ -56,8 +56,8 @@ static bool isEqual(const Field &field, const char *array) {
   return true;
 }
 
-/// Whether the write would change nothing. A fill is not compared with the
-/// contents.
+/// True if the write would not change the contents of the field. Returns false
+/// for a fill, which is not compared with the contents.
 static bool changesNothing(const HostWrite &write) {
   const Field &field = *write.field;
   if (write.what == HostWrite::What::Array)
@@ -240,8 +240,8 @@ Status HostWrites::setActive(const TreePtr &tree, int64_t level, int64_t cell,
     return free;
   if (Recorder *tape = recordings.current())
     return tape->changeActivity(tree, change);
-  // Only tapes need to know about removals; without tapes, the host does not
-  // wait for a device.
+  // Only tapes need to know which cells were deactivated; without tapes, the
+  // host does not wait for a device to find out.
   SparseNode &node = *tree->sparseNodes()[level];
   uint64_t before = recordings.areThereTapes() ? node.lastRemoval() : 0;
   Status status = change();

@@ -166,7 +166,7 @@ Status Recordings::checkRunning(const Field &field, HoldKind kind) {
   Status status;
   launches->visitChanges([&](const std::string &kernel, const Field &changed,
                              HoldKind other) {
-    // Activity is the same for all fields of a tree.
+    // A change of activity affects all sparse fields of a tree.
     bool isMet = &changed == &field ? !agree(other, kind)
                                     : isSparse && changed.sparseNode() &&
                                           &changed.tree() == &field.tree();
@@ -188,8 +188,8 @@ Status Recordings::hold(const Recorder &tape, Field &field, HoldKind kind) {
     return status;
   if (__builtin_expect(!launches || !launches->areAny(), true))
     return Status::success();
-  // After this fence, launches that begin on other threads see the hold;
-  // launches that already run are checked below.
+  // After this fence, launches that begin on other threads see the hold.
+  // Launches that already run are checked after it.
   std::atomic_thread_fence(std::memory_order_seq_cst);
   Status status = checkRunning(field, kind);
   if (!status)

@@ -57,8 +57,8 @@ struct Loop {
 
 static void runPart(void *context, int64_t part) {
   Loop &loop = *static_cast<Loop *>(context);
-  // The results of a failed launch are discarded, so its other parts need not
-  // run.
+  // The results of a failed launch are discarded, so its other loop partitions
+  // need not run.
   if (loop.launch->hasFailed())
     return;
   if (!loop.launch->passSafepoint())
@@ -115,7 +115,8 @@ struct Zeroing {
 };
 } // namespace
 
-/// Zeroes memory; large memory is divided among the workers.
+/// Zeroes memory; if it is large, its pages are divided among the worker
+/// threads.
 static void zero(Launch &launch, char *address, int64_t bytes) {
   constexpr int64_t partBytes = 128 << 10;
   int64_t parts =

@@ -56,7 +56,7 @@ static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
   auto blocksOf = [&](unsigned threads) {
     return (iterations + threads - 1) / threads;
   };
-  // With few iterations, shrink the blocks, in whole warps, to give each
+  // With few iterations, blocks are shrunk, in whole warps, to give each
   // multiprocessor a block.
   constexpr unsigned warp = 32, leastThreads = 64;
   while (!hasSize && shape.threads >= 2 * leastThreads &&
@@ -66,8 +66,8 @@ static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
     shape.threads =
         std::min(shape.threads,
                  static_cast<unsigned>((iterations + warp - 1) / warp * warp));
-  // If blocks have shrunk, allow more of them, for the same number of resident
-  // threads.
+  // If blocks have shrunk, the grid may have more of them, for the same number
+  // of resident threads.
   int64_t most = function.mostBlocks == BlockTrial::kAnyBlocks
                      ? function.mostBlocks
                      : int64_t(function.mostBlocks) * function.threads /
@@ -105,7 +105,7 @@ static void launchOnDevice(Launch &launch, int32_t number, int64_t iterations,
   BlockTrial &trial = function.trials->of(iterations);
   if (trial.hasEnded())
     // The queue recognizes a repeated sequence by the shapes of its launches,
-    // so launches with trial shapes stay outside of it.
+    // so launches with trial shapes stay outside of the sequence.
     failed(launch, launchWith(trial.best()));
   else if (!failed(launch, queue.interrupt()))
     failed(launch, trial.run(queue, iterations, [&](BlockTrial::Size size) {
@@ -121,8 +121,8 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
   });
 }
 
-/// Calls `find`, and returns the device memory that it stores in its second
-/// argument; null after a failure.
+/// Returns the device memory that `find` stores in its second argument, or null
+/// after a failure.
 template <typename Find>
 static void *findMemory(TaiFrame *frame, const Find &find) {
   return orFail(frame, static_cast<void *>(nullptr), [&] {
@@ -152,7 +152,8 @@ extern "C" void tai_rt_device_fetch(TaiFrame *frame, void *to, const void *from,
     onDevice->waited = true;
     return true;
   });
-  // After a failure, the rest of the kernel must not rely on the old contents.
+  // After a failure, the rest of the kernel must not rely on the old contents
+  // of the memory.
   if (!isFetched)
     std::memset(to, 0, static_cast<size_t>(bytes));
 }

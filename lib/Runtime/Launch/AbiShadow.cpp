@@ -15,8 +15,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// The distance of `value` from its shadow, `value` + `error`, relative to the
-/// shadow; at most 1.
+/// The distance of the float `value` from its shadow, `value` + `error`,
+/// relative to the shadow; at most 1.
 static double relativeError(double value, double error) {
   double exact = value + error;
   if (error == 0)
@@ -41,8 +41,9 @@ static double roundingOf(int32_t precision) {
   return precision == 24 ? 0x1p-24 : std::ldexp(1, -precision);
 }
 
-/// A result with a smaller relative error cannot exceed the site's largest
-/// growth. Comparing errors with this bound saves most results a division.
+/// The relative error below which a result cannot exceed the site's largest
+/// growth of errors. Comparing errors with this bound saves most results a
+/// division.
 static double reachOf(const ShadowLog::Site &site, double least) {
   return 0.99 * least * site.growth.load(std::memory_order_relaxed);
 }
@@ -62,8 +63,8 @@ extern "C" void tai_rt_shadow_site(TaiFrame *frame, TaiShadowSite *named,
   if (!std::isfinite(result))
     return count(site.nonFinite, alone);
   count(site.lost, alone);
-  // A difference cancels if both operands are at least eight times as large as
-  // the result.
+  // A subtraction counts as a cancellation if both operands are at least eight
+  // times as large as the result.
   if (std::min(std::abs(a), std::abs(b)) > 8 * std::abs(result))
     count(site.cancellations, alone);
   double least = roundingOf(precision);
@@ -181,7 +182,7 @@ template <typename T> static T choose(T a, T b, bool greater) {
   return (a < b) == greater ? b : a;
 }
 
-/// The value that an update of this kind stores in place of `before`.
+/// Returns the value that an update of this kind stores in place of `before`.
 template <typename T> static T combine(T before, T operand, int32_t kind) {
   switch (kind) {
   case TAI_SHADOW_ADD:
@@ -207,8 +208,8 @@ static double update(T *address, int32_t kind, T value, double error,
   T old, result;
   __atomic_load(address, &old, __ATOMIC_RELAXED);
   Exact operand = static_cast<Exact>(value) + static_cast<Exact>(error), before;
-  // Compare and exchange: other threads may update the element without its
-  // shadow.
+  // The update is a compare-and-exchange loop, because other threads may update
+  // the element without its shadow.
   do {
     before = shadow::read<T, Exact>(address, old);
     result = combine(old, value, kind);

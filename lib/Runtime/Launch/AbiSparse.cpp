@@ -30,7 +30,8 @@ static SparseNode &nodeOf(const Launch &launch, void *tree, int32_t node) {
   return nodeOf(tree, node);
 }
 
-/// Fails the launch; `where` is the line of the program to report, or null.
+/// Fails the launch because of a sparse operation; `where` is the line of the
+/// program to report, or null.
 static void failAt(TaiFrame *frame, StatusCode code, std::string message,
                    const char *where) {
   launchOf(frame).fail(
@@ -52,8 +53,8 @@ static bool checkCell(TaiFrame *frame, const SparseNode &node, int64_t cell,
   return false;
 }
 
-/// Returns true if there is memory for one more cell; otherwise fails the
-/// launch.
+/// Returns true if the memory limit allows one more active cell; otherwise
+/// fails the launch.
 static bool checkMemory(TaiFrame *frame, const SparseNode &node,
                         const char *where) {
   Status status = launchOf(frame).owner().checkActiveBytes(node, 1);
@@ -108,7 +109,7 @@ extern "C" int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
                 [&] { return append(frame, tree, node, list, where); });
 }
 
-/// Passes a list of cells to compiled code, and returns its length.
+/// Passes a list of active cells to compiled code, and returns its length.
 static int64_t give(Launch &launch, const std::vector<int64_t> &list,
                     const int64_t **cells) {
   *cells = list.data();
@@ -188,8 +189,8 @@ static bool isListCurrent(Launch &launch, void *tree, int32_t node) {
     const LoopLists::Entry *entry = launch.findGiven(sparse);
     if (!entry)
       return 0;
-    // A wrong false is harmless: a caller that gets false does work that is
-    // right for any list.
+    // A wrong answer false is harmless: the caller then does work that is right
+    // for any list.
     if (entry->onDevice)
       return mirror->sparse()->isShownBy(*entry->onDevice);
   }

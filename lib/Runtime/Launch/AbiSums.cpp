@@ -23,8 +23,8 @@
 using namespace mlir::tai::runtime;
 
 namespace {
-/// Adds elements [begin, end) of all `parts` buffers to the target. `count`:
-/// the number of elements of a buffer.
+/// The type of functions that add elements [begin, end) of all `parts` private
+/// buffers to the target. `count`: the number of elements of a buffer.
 using AddBuffers = void (*)(void *target, char *buffers, int64_t begin,
                             int64_t end, int64_t parts, int64_t stride,
                             int64_t count);
@@ -49,7 +49,7 @@ using Half = Float16Bits<doubleFromHalf, halfFromDouble>;
 using Bfloat = Float16Bits<doubleFromBfloat, bfloatFromDouble>;
 } // namespace
 
-/// Whether some element is not zero. Without a branch for each element, so that
+/// True if some element is not zero. Has no branch for each element, so that
 /// the comparisons are vectorized.
 template <typename T>
 __attribute__((always_inline)) static inline bool isAnyNonZero(const T *from,
@@ -76,14 +76,14 @@ moveBlock(T *from, int64_t count, T *sums, bool isFirst) {
   return true;
 }
 
-/// Returns `to` + `sum`. A zero sum leaves `to` as it is: -0 stays -0, as it
-/// does in blocks that are skipped.
+/// Returns `to` + `sum`. If the sum is zero, `to` is returned unchanged, so
+/// that -0 remains -0, as it does when blocks of zeros are skipped.
 template <typename Target, typename T>
 __attribute__((always_inline)) static inline Target added(Target to, T sum) {
   return sum == 0 ? to : static_cast<Target>(to + sum);
 }
 
-/// Whether buffers of this size are left for the next launch to zero, which
+/// True if private buffers are so small that the next launch zeroes them, which
 /// takes less time than searching them for elements that are not zero.
 static bool areFew(int64_t bytes) { return bytes <= 8 << 10; }
 
@@ -124,8 +124,9 @@ addBuffers(void *targetBytes, char *buffers, int64_t begin, int64_t end,
   }
 }
 
-/// Adds elements [begin, end) of all buffers of pairs, and rounds each result
-/// once. A buffer holds `count` sums, and then their rounding errors.
+/// Adds elements [begin, end) of all private buffers of compensated sums, and
+/// rounds each result once. A buffer holds `count` sums, and then their
+/// rounding errors.
 __attribute__((always_inline)) static inline void
 addPairs(void *targetBytes, char *buffers, int64_t begin, int64_t end,
          int64_t parts, int64_t stride, int64_t count) {
@@ -162,14 +163,15 @@ addPairs(void *targetBytes, char *buffers, int64_t begin, int64_t end,
       bool isNothing = sums[e] == 0 && rests[e] == 0;
       double old = target[at + e];
       add(e, old, 0);
-      // An infinite sum has no rounding error.
+      // The rounding error of an infinite sum is NaN, and counts as zero.
       double sum = sums[e] + (std::isnan(rests[e]) ? 0 : rests[e]);
       target[at + e] = isNothing ? old : sum;
     }
   }
 }
 
-/// Bytes of an element of the field to which sums of this kind are added.
+/// The size in bytes of an element of the field to which sums of this kind are
+/// added.
 static int64_t sizeOfTarget(int32_t kind) {
   switch (kind) {
   case kSumsF16:
@@ -184,7 +186,8 @@ static int64_t sizeOfTarget(int32_t kind) {
   }
 }
 
-/// Bytes of an element of the private buffers for sums of this kind.
+/// The size in bytes of an element of the private buffers for sums of this
+/// kind.
 static int64_t sizeOfSums(int32_t kind) {
   switch (kind) {
   case kSumsF32:
@@ -197,7 +200,8 @@ static int64_t sizeOfSums(int32_t kind) {
   }
 }
 
-// Variants for AVX2, chosen at run time; all variants compute the same sums.
+// Variants of the sum functions for AVX2, chosen at run time; all variants
+// compute the same sums.
 #if defined(__x86_64__)
 #define TAI_ADD_BUFFERS(name, target_type, type, unit)                         \
   __attribute__((target(unit))) static void name(                              \
@@ -219,7 +223,7 @@ addPairsAvx2(void *to, char *buffers, int64_t begin, int64_t end, int64_t parts,
 }
 #endif
 
-/// Calls `add`, which adds `parts` buffers to the `count` numbers at
+/// Calls `add`, which adds `parts` private buffers to the `count` numbers at
 /// addressOf(0), addressOf(1), ..., and adds the shadows of the buffers to the
 /// numbers' shadows.
 template <typename Target, typename T, typename AddressOf, typename Add>
@@ -248,8 +252,8 @@ template <typename AddressOf, typename Add>
 static void addBuffersOf(Launch &launch, int32_t kind, int64_t count,
                          int64_t parts, char *buffers, int64_t stride,
                          AddressOf addressOf, Add add) {
-  // Compensated sums are pairs in memory, and have no shadows there; nor have
-  // fields of 16 bits and of integers.
+  // Compensated sums have no shadows in memory, because they are two numbers
+  // each; nor have fields of 16 bits and of integers.
   if (__builtin_expect(!launch.owner().options().instruments.shadow, true) ||
       kind == kSumsPairs || sizeOfTarget(kind) == 2 || kind == kSumsI32 ||
       kind == kSumsI64)
@@ -296,13 +300,15 @@ static void left(Launch &launch, const void *buffers, int64_t bytes) {
 extern "C" void tai_rt_combine(TaiFrame *frame, void *target, void *buffers,
                                int64_t count, int64_t parts, int32_t kind) {
   Launch &launch = launchOf(frame);
-  // After a failure, `buffers` may be memory without meaning: see Launch::sink.
+  // After a failure of the launch, `buffers` may be memory without meaning: see
+  // Launch::sink.
   if (count <= 0 || parts <= 0 || launch.hasFailed())
     return;
   int64_t size = sizeOfSums(kind);
   int64_t targetBytes = sizeOfTarget(kind);
   int64_t stride = (count * size + 63) / 64 * 64;
-  // The number of bytes that one worker must read to repay its fork.
+  // The number of bytes that one worker thread must read to be worth the cost
+  // of the fork.
   constexpr int64_t cutBytes = 64 << 10;
   int64_t cuts = std::clamp<int64_t>(count * size / cutBytes * parts, 1,
                                      launch.owner().threads());
@@ -338,7 +344,8 @@ struct StridedCombining {
 };
 } // namespace
 
-/// Adds the cells of partition `cut`, summed over all buffers in their order.
+/// Adds the private buffers to the cells of partition `cut`, in the order of
+/// the buffers.
 template <typename Target, typename T>
 static void addStrided(void *context, int64_t cut) {
   const auto &c = *static_cast<StridedCombining *>(context);
@@ -346,8 +353,8 @@ static void addStrided(void *context, int64_t cut) {
   int64_t end = boundOf(c.cells, cut + 1, c.cuts);
   constexpr int64_t block = 1024;
   T sums[block];
-  // A block holds whole cells, or a part of one cell that has more components
-  // than the block has elements.
+  // A block of this loop holds whole cells, or a part of one cell that has more
+  // components than the block has elements.
   int64_t cellsInBlock = std::max<int64_t>(block / c.components, 1);
   for (int64_t at = begin; at < end; at += cellsInBlock) {
     int64_t cells = std::min(cellsInBlock, end - at);

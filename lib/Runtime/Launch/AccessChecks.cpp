@@ -89,8 +89,8 @@ AccessPlace AccessChecks::getPlace(int64_t id) const {
   auto after =
       std::partition_point(ranges.begin(), ranges.end(),
                            [&](const Range &range) { return range.base < id; });
-  // The access `id` is unknown if another thread has not recorded its range of
-  // ids yet.
+  // The access with number `id` is unknown if another thread has not recorded
+  // its range of numbers yet.
   if (id <= 0 || after == ranges.begin())
     return {"", -1, AccessKind::Write, "", 0, 0};
   const Range &range = *std::prev(after);
@@ -103,7 +103,7 @@ AccessPlace AccessChecks::getPlace(int64_t id) const {
           access.column};
 }
 
-/// True for violations between two iterations of one loop.
+/// True for kinds of violations between two iterations of one loop.
 static bool isRace(int64_t kind) {
   return kind == static_cast<int64_t>(ViolationKind::Race) ||
          kind == static_cast<int64_t>(ViolationKind::EarlyRead);

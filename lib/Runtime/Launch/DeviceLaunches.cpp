@@ -13,10 +13,11 @@
 
 using namespace mlir::tai::runtime;
 
-/// Whether the launches of the kernel may change the tree.
+/// True if launches of the kernel may change the contents of the tree.
 static bool mayChange(const Kernel &kernel, const Tree &tree) {
   const std::vector<Access> &summary = kernel.summary();
-  // Adjoints and other derived kernels have no summary.
+  // Adjoints and other derived kernels have no summary of their accesses, so
+  // they may change any tree.
   if (summary.empty())
     return true;
   return std::any_of(summary.begin(), summary.end(), [&](const Access &access) {
@@ -66,7 +67,7 @@ static std::string keyOf(const DeviceImage &image, const std::string &function,
          std::to_string(device.limits().multiprocessors);
 }
 
-/// Loads code and finds its functions.
+/// Loads device code of a kernel and finds its functions.
 static Status loadCode(Device &device, const DeviceImage &image,
                        std::unique_ptr<DeviceModule> &module,
                        std::vector<DeviceFunction *> &functions) {
@@ -81,8 +82,8 @@ static Status loadCode(Device &device, const DeviceImage &image,
   return status;
 }
 
-/// Loads code and finds its functions. An image from the cache that the device
-/// refuses is compiled anew, once.
+/// Loads device code of a kernel and finds its functions. An image from the
+/// cache that the device refuses is compiled anew, once.
 static Status loadOrMakeAgain(Device &device,
                               std::shared_ptr<const DeviceImage> &image,
                               std::unique_ptr<DeviceModule> &module,
@@ -107,7 +108,7 @@ Status DeviceLaunches::load(Kernel &kernel, uint64_t epoch) {
   if (lock.isAgain())
     return lock.check();
   std::shared_ptr<DeviceCode> &code = kernel.deviceCode;
-  // Another thread may have loaded the code meanwhile.
+  // Another thread may have loaded the device code meanwhile.
   if (code && code->epoch == epoch && code->image == kernel.info.image)
     return Status::success();
   kernel.prepared.state.store(0, std::memory_order_release);
@@ -213,8 +214,8 @@ void DeviceLaunches::leave(Launch &launch) {
   Status status = onDevice.finish();
   if (onDevice.usesState) {
     devices.get()->noteStateUsed();
-    // In debug mode, wait for the launch, so that its failures are not reported
-    // by a later wait.
+    // In debug mode, the host waits for each launch, so that its failures are
+    // not reported by a later wait.
     if (status && options.instruments.debug && !onDevice.waited) {
       status = devices.device()->synchronize();
       onDevice.waited = true;

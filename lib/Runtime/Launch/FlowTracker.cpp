@@ -15,14 +15,15 @@ using namespace mlir::tai::runtime;
 bool ArrayRange::overlaps(const ArrayRange &other) const {
   if (begin >= other.end || other.begin >= end)
     return false;
-  // The columns of a matrix are interleaved: they overlap in range, and may
-  // still have no element in common.
+  // The columns of a matrix are interleaved in memory: their address ranges
+  // overlap, and yet they may have no element in common.
   uint64_t common = std::gcd(step, other.step);
   uint64_t apart = (begin % common + common - other.begin % common) % common;
   return apart < other.elementBytes || apart + elementBytes > common;
 }
 
-/// Adds the cuts of one set to another; returns true if there were new ones.
+/// Adds the cuts (stores at which derivatives were lost) of one set to another;
+/// returns true if there were new ones.
 static bool addCuts(FlowTracker::CutSet &to, const FlowTracker::CutSet &more) {
   if (std::includes(to.begin(), to.end(), more.begin(), more.end()))
     return false;
@@ -69,7 +70,8 @@ bool FlowTracker::hasDerivative(const FlowPlace &place) const {
 bool FlowTracker::endsDerivatives(const FlowPlace &place) const {
   if (place.field)
     return isFloat(place.field->scalar()) && !hasDerivative(place);
-  // Forward mode refuses to lose tangents in arrays.
+  // Values lose their gradients at an array without one. Only reverse mode
+  // warns of this; forward mode refuses such arrays.
   return place.isArray() && mode == Mode::Reverse && !place.hasGradient;
 }
 
@@ -157,8 +159,8 @@ void FlowTracker::store(const FlowPlace &place, const uint64_t *args,
 // Launches
 //===----------------------------------------------------------------------===//
 
-/// Whether a launch with `args` stores all elements with indices from first(d)
-/// up to first(d) + extent(d) in each dimension d.
+/// True if a launch with the arguments `args` stores all elements with indices
+/// from first(d) up to first(d) + extent(d) in each dimension d.
 template <typename First, typename Extent>
 static bool storesAll(const std::vector<StoredBox> &boxes, const uint64_t *args,
                       const First &first, const Extent &extent) {
@@ -174,7 +176,8 @@ static bool storesAll(const std::vector<StoredBox> &boxes, const uint64_t *args,
   });
 }
 
-/// Whether a launch stores all elements of a place, whatever they held.
+/// True if a launch stores all elements of a field or array, whatever they
+/// held.
 static bool replaces(const Kernel &kernel, const FlowPlace &place,
                      const uint64_t *args) {
   if (place.isArray())
@@ -220,7 +223,7 @@ bool FlowTracker::dependsOnArguments(Kernel &kernel) const {
                      });
 }
 
-/// Whether the adjoint of some result of the launch is not zero.
+/// True if the adjoint of some result of the launch is not zero.
 static bool hasWantedResult(const Kernel &kernel, const uint64_t *args) {
   const CallerAdjoints &caller = kernel.callerAdjoints();
   return std::any_of(caller.results.begin(), caller.results.end(),
@@ -243,8 +246,8 @@ void FlowTracker::launch(Kernel &kernel, const uint64_t *args) {
   std::vector<State> before, added(all.places.size()), again(all.places.size());
   for (const FlowPlace &place : all.places)
     before.push_back(stateOf(place, args));
-  // A launch may read a value that it has just stored: pass states along the
-  // flows of values until no state changes.
+  // A launch may read a value that it has just stored, so states are passed
+  // along the flows of values until no state changes.
   for (bool grown = true; grown;) {
     grown = false;
     for (const ValueFlow &flow : all.flows) {

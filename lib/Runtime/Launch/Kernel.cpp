@@ -88,8 +88,8 @@ Status Kernel::resolve() {
     return Status::success();
   if (!info.provider)
     return hasNoCode(*this);
-  // A failed compilation is tried again at the next launch: its cause, such as
-  // a full disk, may be gone by then.
+  // A failed compilation is tried again at the next launch, because its cause,
+  // such as a full disk, may be gone by then.
   TaiKernelFn result = nullptr;
   Status status = info.provider->compile(*this, result);
   if (!status)
@@ -152,15 +152,15 @@ const AdjointPlan &Kernel::plan() {
   if (adjointPlan && (!adjointPlan->provisional || lock.isAgain()))
     return *adjointPlan;
   // If isAgain(), a handler that has interrupted this function asks for the
-  // plan, and gets an empty one: the handler cannot launch kernels (see
+  // plan. It gets an empty plan, since a handler cannot launch kernels (see
   // checkHandler).
   static const AdjointPlan unknown;
   if (lock.isAgain())
     return unknown;
   auto made = std::make_unique<AdjointPlan>();
   if (info.differentiable && info.provider) {
-    // If there is no adjoint, the plan stays empty. The error is reported when
-    // a reverse sweep needs the plan.
+    // If there is no adjoint, the plan stays empty. The error is reported only
+    // when a reverse sweep needs the plan.
     planFailure = info.provider->planAdjoint(*this, *made);
     if (!planFailure) {
       bool provisional = made->provisional;
@@ -172,7 +172,8 @@ const AdjointPlan &Kernel::plan() {
   }
   if (adjointPlan && made->provisional)
     return *adjointPlan;
-  // Other threads never see a kernel without its plan.
+  // The plan is stored last, so that other threads never see a kernel without
+  // its plan.
   adjointPlan.swap(made);
   provisionalPlan = std::move(made);
   return *adjointPlan;
@@ -286,8 +287,8 @@ Status Kernel::bind(uint64_t epoch) {
       return Status::failure(StatusCode::Usage,
                              "kernel '" + name() + "' uses tree '" +
                                  tree->name() + "', which has been destroyed");
-  // A launch of another thread may be using the tables: tables that are equal
-  // to the new ones stay.
+  // A launch of another thread may be using the tables of the kernel, so a
+  // table that is equal to the new one is kept.
   std::vector<void *> newBases;
   std::vector<SparseNode *> nodes;
   newBases.reserve(info.trees.size());

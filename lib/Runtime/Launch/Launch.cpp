@@ -62,7 +62,8 @@ char *Arena::allocate(int64_t bytes, int64_t &dirtyBytes) {
   int64_t begin = block.used, end = begin + bytes;
   if (block.zeroBegin <= begin && block.zeroEnd >= std::min(end, block.touched))
     dirtyBytes = 0;
-  // The block no longer counts as zero up to the end of this allocation.
+  // From now on, only the free part of the block after this allocation is known
+  // to be zero.
   block.zeroBegin = std::max(block.zeroBegin, end);
   block.used = end;
   block.touched = std::max(block.touched, block.used);
@@ -104,15 +105,16 @@ void Arena::reset() {
 Launch::~Launch() { freeSinks(); }
 
 bool Launch::look() {
-  // Only the thread that launched polls for signals; workers see its failure.
+  // Only the thread that launched polls for signals; worker threads stop once
+  // the launch has failed.
   if (safepoint::isWorker())
     return !hasFailed();
   __atomic_store_n(&tick, safepoint::now(), __ATOMIC_RELAXED);
   if (!hasFailed() && !owner().interruptRequested() && safepoint::look())
     return true;
   fail(failAsInterrupted());
-  // Clear the tick, so that workers call look() at their next safepoint, not
-  // only after the next tick.
+  // The tick in the frame is cleared, so that worker threads call look() at
+  // their next safepoint, not only after the next tick.
   __atomic_store_n(&tick, 0, __ATOMIC_RELAXED);
   return false;
 }
@@ -165,7 +167,8 @@ void *Launch::sink(int64_t bytes) {
   void *memory = mmap(nullptr, size, PROT_READ | PROT_WRITE,
                       MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (memory == MAP_FAILED) {
-    // If even the address space is exhausted, one page is better than null.
+    // If the system refuses even the address space, one page that may be
+    // written is better than null.
     size = static_cast<size_t>(sysconf(_SC_PAGESIZE));
     memory = mmap(nullptr, size, PROT_READ | PROT_WRITE,
                   MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
@@ -194,8 +197,8 @@ void Launch::noteSink(void *memory, size_t size) {
   try {
     sinks.emplace_back(memory, size);
   } catch (...) {
-    // The list of sinks cannot grow: `memory` is leaked, but the launch can
-    // end.
+    // The list of sinks (memory for failed launches) cannot grow: `memory` is
+    // leaked, but the launch can end.
   }
 }
 
@@ -208,7 +211,8 @@ void Launch::freeSinks() {
 int64_t Launch::partition(int64_t n, int64_t cost, bool reduces) {
   Workers &workers = owner().workers();
   measured = nullptr;
-  // The estimate `cost` is assumed to be wrong by less than this factor.
+  // The compiler's estimate of the cost of an iteration is assumed to be wrong
+  // by less than this factor.
   constexpr double factor = 16;
   double total = static_cast<double>(n) * static_cast<double>(cost);
   if (workers.threads() == 1 || !loopTimes ||

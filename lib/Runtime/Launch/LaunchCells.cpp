@@ -17,8 +17,8 @@ using namespace mlir::tai::runtime;
 
 const std::vector<int64_t> &Launch::visitedCells(SparseNode &node) {
   static const std::vector<int64_t> none;
-  // The list outlives this call: `loops`, `fetched` or the record of the primal
-  // holds it.
+  // The list of cells outlives this call: `loops`, `fetched` or the record of
+  // the primal holds it.
   ActiveListPtr list = visitedList(node);
   return list ? list->cells : none;
 }
@@ -89,8 +89,8 @@ const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
 // adjoints of all cells are compared with zero: reading a few bytes of each
 // cell costs little compared with the loop's body.
 
-/// True if both fields number the cells of the level by the same digits of the
-/// same indices.
+/// True if both fields compute the number of a cell of the level from the same
+/// digits (parts) of the same indices.
 static bool numbersAlike(const Field &a, const Field &b) {
   auto digits = [](const std::vector<LayoutLevel> &levels) {
     std::vector<std::array<int64_t, 3>> result;
@@ -109,8 +109,8 @@ static bool numbersAlike(const Field &a, const Field &b) {
   return true;
 }
 
-/// The fields that must be zero in a cell for loops over the level to skip it;
-/// none if some loop over the level cannot skip cells.
+/// Returns the fields that must be zero in a cell for loops over the level to
+/// skip it; none if some loop over the level cannot skip cells.
 static std::vector<const Field *>
 findSources(const std::vector<ZeroAdjoints> &flags, const SparseNode &node) {
   std::vector<const Field *> sources;
@@ -199,7 +199,7 @@ public:
     }
   }
 
-  /// The most cells that addAround adds.
+  /// The most cells that one call of addAround adds.
   int64_t numAround(int64_t reach) const {
     int64_t count = 1;
     for (const Dimension &dimension : dimensions)

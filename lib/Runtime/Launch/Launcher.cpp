@@ -196,7 +196,8 @@ Status Launcher::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
     launch.end();
   }
   Status status;
-  // A tape of another thread may have begun while this kernel was compiled.
+  // A tape of another thread may have begun to hold fields while this kernel
+  // was compiled, so holds are checked again.
   if (__builtin_expect(parts.recordings.areAnyHeld(), false) &&
       launch.isUnrecorded.load(std::memory_order_relaxed)) {
     std::atomic_thread_fence(std::memory_order_seq_cst);
@@ -237,8 +238,8 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
       kernel.hasNoActiveCells() &&
       !(launch.given && launch.given->hasCells())) {
     parts.counters.add(SkipCount::EmptyLaunches);
-    // Cells may be active when the adjoint runs: record that this launch
-    // visited no cells.
+    // Cells may be active when the adjoint runs, so the record says that this
+    // launch visited no cells.
     static const ActiveListPtr none = std::make_shared<const ActiveList>();
     if (!launch.given)
       for (const SparseNode *level : kernel.loopLevels)
@@ -346,7 +347,8 @@ Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   if (safepoint::isInHandler())
     if (Status status = kernel.checkHandler(); !status)
       return status;
-  // Only a recorded launch needs the addresses of adjoints.
+  // Only a launch that is recorded needs the addresses of adjoints in its
+  // arguments.
   if (__builtin_expect(slots != kernel.tapeSlots(), false)) {
     Recorder *tape = parts.recordings.current();
     bool recorded = tape && !tape->isSuspended();
@@ -437,8 +439,8 @@ Status Launcher::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
     if (!status)
       return status;
   }
-  // Mark the adjoint fields as changed here, because the adjoint kernel may
-  // have no summary of its own.
+  // The adjoint fields are marked as changed here, because the adjoint kernel
+  // may have no summary of its own.
   for (Field *field : kernel.adjointTargets)
     field->adjoint()->markDirty();
   launch.given = given;

@@ -41,8 +41,8 @@ inline Launch *Launcher::take() {
     hot.isTaken = true;
     return hot.launch.load(std::memory_order_relaxed);
   }
-  // Not inlined: in line, this path would make each prepared launch save
-  // registers.
+  // This lambda is not inlined, because in line it would make each prepared
+  // launch save registers.
   auto takeAnother = [&]() __attribute__((noinline)) {
     runningLaunches.noteFork();
     if (Launch *launch =
@@ -57,7 +57,8 @@ inline Launch *Launcher::take() {
       launch->thread.store(self, std::memory_order_relaxed);
       return launch;
     }
-    // Returning a launch must not allocate: reserve its place now.
+    // Giving a launch object back must not allocate, so its place in the list
+    // is reserved now.
     freeLaunches.reserve(launches.size() + 1);
     launches.push_back(std::make_unique<Launch>(owner));
     Launch *made = launches.back().get();
@@ -105,7 +106,8 @@ void Launcher::dropLaunches() {
 // Prepared launches
 //===----------------------------------------------------------------------===//
 
-/// References to all members of a PreparedLaunch but `state` and `lastLaunch`.
+/// References to those members of a PreparedLaunch that prepare() fills in: all
+/// but `state` and `lastLaunch`.
 static auto fieldsOf(PreparedLaunch &prepared) {
   PreparedLaunch &p = prepared;
   return std::tie(p.function, p.trees, p.slots, p.hasResults, p.code, p.mirrors,

@@ -59,8 +59,8 @@ static void fenceAllThreads() {
       syscall(SYS_membarrier, MEMBARRIER_CMD_REGISTER_PRIVATE_EXPEDITED, 0,
               0) == 0;
   std::atomic_thread_fence(std::memory_order_seq_cst);
-  // A system without membarrier gets no such fence. Hosts that hold a lock
-  // around their calls, such as Python, do not need the fence.
+  // A system without membarrier has no fence for all threads. Hosts that hold a
+  // lock around their calls, such as Python, do not need it.
   if (isReady)
     (void)syscall(SYS_membarrier, MEMBARRIER_CMD_PRIVATE_EXPEDITED, 0, 0);
 }

@@ -20,12 +20,13 @@ char *tai_rt_shadows = nullptr;
 Status shadow::reserve() {
   static std::mutex mutex;
   std::lock_guard<std::mutex> lock(mutex);
-  // A vector that begins in the last entries ends in the page after the table.
+  // The table of shadows ends with an additional page, in which a vector ends
+  // that begins in the last entries.
   constexpr size_t size = 2 * (TAI_SHADOW_MASK + 1) + 4096;
   if (tai_rt_shadows) {
-    // Discard the entries of earlier contexts: the entry of an f64 could be
-    // taken for the entry of an f32 that is zero. Contexts that are in use lose
-    // their shadows, too.
+    // The entries of earlier contexts are discarded, because the entry of an
+    // f64 could be taken for the entry of an f32 that is zero. Contexts that
+    // are in use lose their shadows, too.
     madvise(tai_rt_shadows, size, MADV_DONTNEED);
     return Status::success();
   }
@@ -44,8 +45,8 @@ Status shadow::reserve() {
 void shadow::forget(const void *address, int64_t bytes) {
   if (!tai_rt_shadows || bytes <= 0)
     return;
-  // The low bits of an address select its entry, so a range can pass the end of
-  // the table and continue at its start.
+  // The low bits of an address select its entry in the table of shadows, so a
+  // range of addresses can pass the end of the table and continue at its start.
   const char *at = static_cast<const char *>(address);
   while (bytes > 0) {
     uint64_t first = reinterpret_cast<uintptr_t>(at) & TAI_SHADOW_MASK;

@@ -40,7 +40,7 @@ TangentFlows::describe(const std::vector<FieldPtr> &outputs,
     const FlowTracker::CutSet &more = tracker.cutsOf(*field);
     cuts.insert(cuts.end(), more.begin(), more.end());
   }
-  // Report the cuts in the order in which launches made them.
+  // Lost tangents are reported in the order of the launches that lost them.
   std::sort(cuts.begin(), cuts.end());
   cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
   std::vector<std::string> lines;

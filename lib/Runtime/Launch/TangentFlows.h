@@ -31,7 +31,7 @@ public:
                                     std::unordered_set<std::string> &said);
 
 private:
-  /// Guards the tracker: several threads may launch at once.
+  /// Guards the tracker of tangents, since several threads may launch at once.
   std::mutex mutex;
   FlowTracker tracker;
   bool hasLaunched = false;

@@ -9,8 +9,8 @@
 
 #include "WideFunctions.h"
 
-// The scalar functions are for the remainder of a vectorized loop. Their
-// results have the same bits as the results for vectors.
+// The scalar functions are for the remainder iterations of a vectorized loop.
+// Their results have the same bits as the results of the vector functions.
 #define TAI_DEFINE_1(name)                                                     \
   TAI_DEFINE_WIDE_1(name, 4)                                                   \
   TAI_DEFINE_WIDE_1(name, 8)                                                   \

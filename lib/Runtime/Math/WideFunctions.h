@@ -54,13 +54,13 @@ template <int lanes> struct WideLanes {
   TAI_WIDE_INLINE F64 number(I64 x) { return __builtin_bit_cast(F64, x); }
   TAI_WIDE_INLINE bool all(I64 mask) { return __builtin_reduce_and(mask) != 0; }
 
-  /// `y` with the sign of `x`, even if `x` is zero.
+  /// Returns `y` with the sign of `x`, even if `x` is zero.
   TAI_WIDE_INLINE F64 withSignOf(F64 x, F64 y) {
     const I64 sign = 1L << 63;
     return number((bits(x) & sign) | (bits(y) & ~sign));
   }
 
-  /// c[0] + c[1] x + ... + c[n-1] x^(n-1).
+  /// Evaluates the polynomial c[0] + c[1] x + ... + c[n-1] x^(n-1).
   template <int n> TAI_WIDE_INLINE F64 polynomial(F64 x, const double (&c)[n]) {
     F64 sum = c[n - 1];
     for (int i = n - 2; i >= 0; --i)
@@ -68,8 +68,8 @@ template <int lanes> struct WideLanes {
     return sum;
   }
 
-  /// The integer nearest to x, in the low bits, for |x| < 2^51. `rounded`: the
-  /// integer as a float.
+  /// Returns the integer nearest to x, in the low bits, for |x| < 2^51.
+  /// `rounded`: the integer as a float.
   TAI_WIDE_INLINE I64 round(F64 x, F64 &rounded) {
     const F64 shifter = 0x1.8p52;
     F64 shifted = x + shifter;
@@ -77,10 +77,11 @@ template <int lanes> struct WideLanes {
     return bits(shifted);
   }
 
-  /// sin(x + quarters pi / 2). `covered`: the lanes where the result is valid.
+  /// Returns sin(x + quarters pi / 2). `covered`: the lanes where the result is
+  /// valid.
   TAI_WIDE_INLINE F64 sine(F64 x, long quarters, I64 &covered) {
-    // Below this bound, a reduction by pi / 2 in two parts leaves a remainder
-    // that is accurate enough for f32.
+    // Below this bound on |x|, a reduction by pi / 2 in two parts leaves a
+    // remainder that is accurate enough for f32.
     covered = __builtin_elementwise_abs(x) < 0x1p32;
     F64 k;
     I64 turns = round(x * 0x1.45f306dc9c883p-1, k) + quarters;
@@ -98,7 +99,8 @@ template <int lanes> struct WideLanes {
     return number(result ^ ((turns & 2) << 62));
   }
 
-  /// The result as f32 in covered lanes, and the result of libm in the rest.
+  /// Returns the result as f32 in covered lanes, and the result of libm in the
+  /// others.
   template <typename Libm, typename... X>
   TAI_WIDE_INLINE F32 finish(F64 inF64, I64 covered, Libm libm, X... x) {
     F32 result = truncate(inF64);
@@ -157,7 +159,7 @@ template <int lanes> struct WideLanes {
     F64 inF64 = extend(x);
     I64 covered = (inF64 > -1.) & (inF64 < __builtin_inf());
     F64 sum = inF64 + 1.;
-    // The rounding error of the sum, to first order.
+    // `rest` is the rounding error of the sum, to first order.
     F64 rest = (inF64 - (sum - 1.)) / sum;
     F64 result = fma(binaryLogarithm(sum), F64(0x1.62e42fefa39efp-1), rest);
     return finish(withSignOf(inF64, result), covered, log1pf, x);
@@ -184,7 +186,8 @@ template <int lanes> struct WideLanes {
   TAI_WIDE_INLINE F32 power(F32 x, double log, float (*libm)(float)) {
     F64 t = extend(x) * log;
     I64 covered = __builtin_elementwise_abs(t) < 126.;
-    // Lanes that are not covered compute 2^0, so that they do not overflow.
+    // Lanes whose argument is not covered compute 2^0, so that they do not
+    // overflow.
     return finish(powerOfTwo(number(bits(t) & covered)), covered, libm, x);
   }
   TAI_WIDE_INLINE F32 exp(F32 x) { return power(x, 0x1.71547652b82fep0, expf); }
@@ -194,7 +197,8 @@ template <int lanes> struct WideLanes {
   /// sinh and cosh do not overflow in f32; elsewhere the result is 0.
   TAI_WIDE_INLINE F64 exponentialMinusOne(F64 x, I64 &covered) {
     F64 size = __builtin_elementwise_abs(x);
-    // The bound is the logarithm of twice the largest f32.
+    // The bound on |x| is the logarithm of twice the largest f32, above which
+    // the function overflows.
     covered = size < 89.41598;
     size = number(bits(size) & covered);
     F64 minusOne, scale = splitPower(size * 0x1.71547652b82fep0, minusOne);
@@ -229,7 +233,8 @@ template <int lanes> struct WideLanes {
   TAI_WIDE_INLINE F32 pow(F32 x, F32 y) {
     F64 wideX = extend(x);
     F64 t = extend(y) * binaryLogarithm(wideX);
-    // Every positive f32 is a normal f64.
+    // Every positive f32 is a normal number of f64, so denormals need no
+    // special case.
     I64 covered = (wideX > 0.) & (wideX < __builtin_inf()) &
                   (__builtin_elementwise_abs(t) < 126.);
     return finish(powerOfTwo(number(bits(t) & covered)), covered, powf, x, y);
@@ -237,7 +242,7 @@ template <int lanes> struct WideLanes {
 };
 } // namespace
 
-/// Defines the function for `lanes` numbers at once.
+/// Defines a function of one argument for `lanes` numbers at once.
 #define TAI_DEFINE_WIDE_1(name, lanes)                                         \
   extern "C" WideLanes<lanes>::F32 tai_wide_##name##_##lanes(                  \
       WideLanes<lanes>::F32 x) {                                               \

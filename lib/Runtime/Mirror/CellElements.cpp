@@ -11,8 +11,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// Whether consecutive cells are evenly spaced; `stride` is then their
-/// distance.
+/// True if consecutive cells are evenly spaced in memory; `stride` is then
+/// their distance.
 static bool areEvenlySpaced(const SparseInfo &info, int64_t &stride) {
   stride = info.steps.back().stride;
   int64_t span = 1;

@@ -15,7 +15,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// Bytes of lines that kernels can print before the host waits for the device.
+/// The bytes of lines that kernels can print before the host waits for the
+/// device.
 static constexpr int64_t outputBytes = 1 << 20;
 /// The maximum size of a stack on which a gradient kernel keeps the values of a
 /// loop on the device.
@@ -48,7 +49,8 @@ DeviceContext::~DeviceContext() {
 Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
                                DevicePtr &memory) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  // Free the pool: a recording that would reuse it may never come.
+  // At the memory limit, the pool of spare blocks is freed, because a recording
+  // that would reuse them may never come.
   if (limit > 0 && bytes > limit - held)
     dropSpare();
   Status status;
@@ -75,7 +77,7 @@ Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
   if (holdings.empty())
     return Status::failure(StatusCode::Memory,
                            message + "; this program holds nothing else there");
-  // Sum the allocated bytes by owner, for the message.
+  // For the message, the allocated bytes are summed by owner.
   std::map<std::string, int64_t> sums;
   for (const auto &[address, holding] : holdings)
     sums[holding.owner] += holding.bytes;
@@ -127,7 +129,8 @@ Status DeviceContext::allocateNow(int64_t bytes, DevicePtr &memory) {
 }
 
 void DeviceContext::dropSpare() {
-  // Freeing may run queued work, and a handler may then add to `spare`.
+  // Freeing a block may run queued work, and a signal handler may then add to
+  // `spare`.
   auto dropped = std::exchange(spare, {});
   for (auto [bytes, memory] : dropped) {
     held -= bytes;
@@ -140,7 +143,7 @@ Status DeviceContext::take(int64_t bytes, const std::string &owner,
                            DevicePtr &memory) {
   {
     std::lock_guard<std::recursive_mutex> lock(mutex);
-    // Take the block that was returned first, so that requests in the same
+    // The block that was returned first is taken, so that requests in the same
     // order get the same memory again.
     if (auto found = spare.lower_bound(bytes);
         found != spare.end() && found->first == bytes) {
@@ -153,8 +156,8 @@ Status DeviceContext::take(int64_t bytes, const std::string &owner,
 }
 
 void DeviceContext::giveBack(int64_t bytes, DevicePtr memory) {
-  // Queued work runs in order, so work of the next owner comes after work of
-  // the present users.
+  // Queued work runs in order, so work of the block's next owner comes after
+  // work of its present users.
   constexpr int often = 2;
   std::lock_guard<std::recursive_mutex> lock(mutex);
   try {
@@ -186,8 +189,8 @@ void DeviceContext::noteOutOfMemory() noexcept {
   try {
     note(Status::failure(StatusCode::Memory, "out of memory"));
   } catch (const std::bad_alloc &) {
-    // Without memory to keep the block, do nothing: the next allocation will
-    // fail and report it.
+    // Without host memory to keep the block in a list, nothing is done: the
+    // next allocation will fail and report the lack of memory.
   }
 }
 
@@ -202,7 +205,7 @@ void DeviceContext::endRecording(bool isSwept) {
   note(device->endRecording(isSwept));
   if (device->expectsLaunches())
     collections.fetch_add(1, std::memory_order_relaxed);
-  // Drops blocks that this recording did not need.
+  // Drops spare memory blocks that the recording did not need.
   std::lock_guard<std::recursive_mutex> lock(mutex);
   dropSpare();
 }
@@ -262,8 +265,8 @@ Status DeviceContext::report() {
         " lines that kernels printed were lost: there is room for " +
         formatBytes(outputBytes) +
         " of them on the device until the next wait for it\n");
-  // The thread that asked for the stop gets the failure of the kernel. Another
-  // thread must know that it has waited for incomplete work.
+  // The thread that asked the kernel to stop gets the failure of the kernel.
+  // Another thread must know that it has waited for incomplete work.
   if (report.failure && report.stoppedBy &&
       report.stoppedBy != safepoint::threadNumber())
     return Status::failure(StatusCode::Interrupted,
@@ -351,7 +354,7 @@ Status DeviceLaunch::array(void *host, int64_t bytes, bool written,
     return Status::success();
   }
   memory = std::max(memory, Memory::Temporary);
-  // An array that is passed twice has one copy.
+  // An array that is passed to a launch twice has one copy on the device.
   for (Array &known : arrays)
     if (known.host == host && known.bytes >= bytes) {
       known.written |= written;
@@ -380,7 +383,8 @@ Status DeviceLaunch::finish() {
     context->free(smaller);
   outgrown.clear();
   start = used;
-  // Another library reads its memory without asking for deferred launches.
+  // Another library reads its memory without queueing deferred launches first,
+  // so they are queued now.
   if (memory == Memory::Others && status)
     status = context->queue().settle();
   memory = Memory::Trees;

@@ -23,7 +23,8 @@ using namespace mlir::tai::runtime;
 // Memory for lists
 //===----------------------------------------------------------------------===//
 
-/// Longer lists reserve memory that is committed on use, if the device can.
+/// The size from which on a list's memory is reserved, and committed on use, if
+/// the device can do so.
 static constexpr int64_t mostBytes = int64_t(256) << 20;
 
 static int64_t bytesFor(int64_t cells) {
@@ -96,8 +97,8 @@ Status DeviceLists::find(const ActiveListPtr &list, DevicePtr &address) {
       address = known.memory + DeviceCells::cellsOffset;
       return Status::success();
     }
-  // Drop lists without another owner, which no loop can request again, and the
-  // oldest of the others.
+  // Lists without another owner, which no loop can request again, are dropped;
+  // so are the oldest lists beyond this number.
   constexpr size_t mostLists = 64;
   auto isOld = [&](const Uploaded &known) {
     bool old = (known.list.use_count() == 1 ||
@@ -144,8 +145,8 @@ int64_t DeviceLists::guessActive(const SparseNode &node) const {
   int64_t known = node.knownActive();
   if (activity.isBehind())
     known = known > 0 ? 2 * known : node.numCells();
-  // Round the guess up to a power of two, so that a few more cells do not
-  // change it.
+  // The guess of the number of cells is rounded up to a power of two, so that a
+  // few more cells do not change it.
   int64_t guess = 1;
   while (guess < known)
     guess *= 2;
@@ -190,7 +191,8 @@ Status DeviceLists::list(SparseNode &node, DeviceCellsPtr &cells) {
     cells = pool.current;
     return Status::success();
   }
-  // If the host does not know the number of cells, make room for all.
+  // If the host does not know the number of active cells, the list gets room
+  // for all cells.
   int64_t needed = activity.isBehind() ? node.numCells() : guessActive(node);
   if (bytesFor(needed) > mostBytes &&
       context.get().limits().reservedPieceBytes == 0)
@@ -204,8 +206,9 @@ Status DeviceLists::list(SparseNode &node, DeviceCellsPtr &cells) {
     return list.use_count() == holders && list->capacity() >= needed;
   };
   std::shared_ptr<DeviceCells> chosen;
-  // Prefer the current list, which possibly shows the active cells already. But
-  // collected work is recognised only if each loop has its former list.
+  // The current list is preferred, since it possibly shows the active cells
+  // already. But collected work is recognised only if each loop has its former
+  // list.
   if (pool.current && isFree(pool.current) && !context.queue().isCollecting())
     chosen = pool.current;
   for (const std::shared_ptr<DeviceCells> &list : pool.all)

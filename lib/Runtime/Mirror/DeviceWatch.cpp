@@ -48,7 +48,7 @@ Status WatchedDevice::load(const DeviceImage &image,
   return status;
 }
 
-/// The label of a function: "name (file:line)".
+/// The label of a device function in a profile: "name (file:line)".
 static std::string labelOf(const std::string &name, const std::string &place) {
   size_t column = place.rfind(':');
   if (place.empty() || column == std::string::npos)
@@ -75,7 +75,7 @@ Status WatchedDevice::find(DeviceModule &module, const std::string &name,
   entry.item = profiler->find(ProfileKind::Device, name, place);
   entry.label = labelOf(name, place);
   Section::Entry section(timing);
-  // Replaces the entry of a freed function that had the same address.
+  // The entry of a freed function that had the same address is replaced.
   entries[function] = std::move(entry);
   return status;
 }
@@ -106,7 +106,8 @@ Status WatchedDevice::align() {
   return status;
 }
 
-/// Passes the times of the oldest `count` pieces of work to the profiler.
+/// Reads the times of the oldest `count` pieces of pending work, and passes
+/// them to the profiler.
 Status WatchedDevice::read(size_t count) {
   if (count == 0)
     return Status::success();
@@ -122,7 +123,8 @@ Status WatchedDevice::read(size_t count) {
       status = device->elapsed(*work.begin, *work.end, duration);
     at += distance;
     from = work.begin.get();
-    // No work begins before it is queued: if so, correct the clocks' offset.
+    // No work begins before it is queued. If the times say so, the offset
+    // between the clocks of host and device is wrong and is corrected.
     late = std::max(late, work.queuedNs - at);
     events.push_back({nullptr, true, work.thread, at, duration, work.queuedNs,
                       work.blocks, work.threads});
@@ -151,7 +153,8 @@ Status WatchedDevice::collect() {
   if (section.isAgain())
     return section.check();
   Status status = read(pending.size());
-  // The clocks drift apart: align them again for the next work.
+  // The clocks of host and device drift apart, so they are aligned again for
+  // the next work.
   if (anchor)
     unused.push_back(std::move(anchor));
   return status;
@@ -165,7 +168,8 @@ template <typename Work>
 Status WatchedDevice::timed(Profiler::Item item, const LaunchShape &shape,
                             Work work) {
   Section::Entry section(timing);
-  // Work of a handler that interrupts this section is not timed.
+  // Work that a signal handler queues while it interrupts this section is not
+  // timed.
   if (section.isAgain())
     return work();
   Status status;

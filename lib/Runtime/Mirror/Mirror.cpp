@@ -99,14 +99,15 @@ Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
 }
 
 Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
-  // The host does not wait for a write on the device, so a tree stays on the
-  // device for more single writes than single reads.
+  // A single write on the device needs no wait of the host, unlike a read, so a
+  // tree remains on the device for more single writes than single reads.
   constexpr int64_t few = 8;
   if (onDevice() &&
       (isExported() || writes++ < few + accessesWorth(tree.bytes()))) {
     pristine = false;
     ++changes;
-    // If both host and device are current, write to both.
+    // If the copies on the host and on the device are both current, both are
+    // written.
     if (onHost())
       std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
     Status status = device().fill(at(offset), from, static_cast<int>(bytes), 1);
@@ -184,8 +185,8 @@ void Field::storeZeros() const {
 // Whole fields
 //===----------------------------------------------------------------------===//
 
-/// Whether a field is copied and filled on the device: it has an even stride,
-/// and the device is current.
+/// True if a field is copied and filled on the device: its elements have an
+/// even stride, and the device's copy is current.
 static bool liesThere(const Mirror &mirror, const Field &field) {
   return field.evenStep() != 0 && mirror.onDevice();
 }
@@ -201,7 +202,7 @@ public:
         bytes(field.numComponents() * byteSize(field.scalar())),
         piece(std::max<int64_t>(bytesPerCopy / bytes, 1)) {}
 
-  /// Calls move(first, count) for pieces of the field.
+  /// Calls move(first, count) for ranges of the field's elements.
   template <typename Move> Status run(bool canStop, const Move &move) {
     int64_t count = field.numElements();
     Status status;
@@ -299,7 +300,7 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
   }
   std::sort(axes.begin(), axes.end(),
             [](const Axis &a, const Axis &b) { return a.step < b.step; });
-  // Merge the axes with the smallest steps into a row of evenly spaced
+  // The axes with the smallest steps are merged into a row of evenly spaced
   // elements: an axis belongs to the row if its step is the length of the row
   // so far.
   int64_t rows = 1, step = field.numComponents() * layout.componentStride;
@@ -311,7 +312,7 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
       break;
     rows *= axes[even].extent;
   }
-  // The next axis is outside of the row: it counts groups of rows.
+  // The next axis of the field counts groups of rows.
   Axis group{1, 0};
   if (even < axes.size())
     group = axes[even++];
@@ -339,8 +340,8 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
   return pieces;
 }
 
-/// Queues deferred work if other libraries use the tree's raw memory, as they
-/// do not ask for this work.
+/// Queues deferred work if other libraries use the raw memory of the tree,
+/// because these libraries do not ask for the work.
 static void settleLent(const Mirror &mirror) {
   if (mirror.isExported())
     mirror.context().note(mirror.context().queue().settle());
@@ -427,7 +428,7 @@ void Slabs::changeOnDevice(int64_t first, int64_t count,
                            const MoveCells &moveCells,
                            const MoveRows &moveRows) const {
   Mirror &mirror = *field->tree().mirror();
-  // A change that stops halfway could not be undone.
+  // An exchange of elements that stops halfway could not be undone.
   safepoint::Unstoppable whole;
   if (Status status = mirror.toDevice(); !status) {
     mirror.context().note(std::move(status));

@@ -44,8 +44,8 @@ bool OwedZeros::contains(int64_t dimension, int64_t position) const {
 // Zeros
 //===----------------------------------------------------------------------===//
 
-/// Zeroes a box. The trailing dimensions that the box covers as a whole form
-/// runs of consecutive elements.
+/// Zeroes the elements of a field in a box. The trailing dimensions that the
+/// box covers as a whole form runs of consecutive elements.
 static void storeBox(const Field &field, const OwedZeros::Box &box) {
   int rank = field.rank();
   Slabs all(field);

@@ -19,7 +19,7 @@ struct Slabs::Numbers {
   int64_t count = 0, capacity = 0;
 };
 
-/// Whether `dimensions` are the leading dimensions of a field.
+/// True if `dimensions` are the leading dimensions of a field.
 static bool areFirst(const std::vector<int> &dimensions) {
   return dimensions.empty() ||
          dimensions.back() + 1 == static_cast<int>(dimensions.size());
@@ -27,8 +27,9 @@ static bool areFirst(const std::vector<int> &dimensions) {
 
 std::vector<int> Slabs::choose(const Field &field,
                                const std::vector<FixedIndex> &fixed) {
-  // The minimum size of a slab: the data kept for each smaller slab would take
-  // more memory than smaller slabs save.
+  // The minimum size of a slab (a part of a field with some leading indices
+  // fixed) in bytes: the data kept for each smaller slab would take more memory
+  // than smaller slabs save.
   constexpr int64_t fewestBytes = 64;
   std::vector<int> chosen;
   chosen.reserve(fixed.size());
@@ -61,7 +62,7 @@ Slabs::Slabs(const Field &field, std::vector<int> dimensions, bool byCell)
     if (!status)
       field.tree().mirror()->context().note(std::move(status));
     numbersOnDevice = std::make_shared<Numbers>();
-    // In a sparse field, a slab must consist of whole cells.
+    // In a sparse field, each slab must consist of whole cells.
     slowDimensions.resize(std::min<size_t>(slowDimensions.size(), 1));
     if (!slowDimensions.empty() && !cells->separates(slowDimensions.front()))
       slowDimensions.clear();
@@ -95,7 +96,7 @@ Slabs::Slabs(const Field &field, std::vector<int> dimensions, bool byCell)
       add(d);
 }
 
-/// Finds the numbers of cells in device memory, after appending the numbers
+/// Gives the numbers of cells in device memory, after appending the numbers
 /// that are new.
 Status Slabs::bringNumbers(int64_t first, int64_t count,
                            CellMover::Cells &found) const {
@@ -142,7 +143,8 @@ int64_t Slabs::addCells(const ActiveListPtr &list) {
   return before;
 }
 
-/// Calls visit(cell, offset in the buffer) until it returns false.
+/// Calls visit(cell, offset in the buffer) for each cell of some slabs until
+/// `visit` returns false.
 template <typename Visit>
 bool Slabs::forEachCell(int64_t first, int64_t count,
                         const Visit &visit) const {
@@ -302,7 +304,8 @@ void Slabs::zero(int64_t first, int64_t count) const {
                                   static_cast<int>(byteSize(field->scalar()))));
     return;
   }
-  // Bypass the field's accessors, since it may be storing its owed zeros now.
+  // This code bypasses the field's accessors, because the field may be storing
+  // its owed zeros now.
   char *data = field->tree().writable() + field->layout().placeOffset;
   forEachRun(data, first, count, [](char *address, auto size, int64_t) {
     std::memset(address, 0, static_cast<size_t>(size));

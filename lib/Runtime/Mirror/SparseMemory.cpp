@@ -49,7 +49,8 @@ Status SparseMirror::check(const DeviceContext &context,
 Status SparseMirror::allocateBlock(int64_t bytes) {
   std::string owner = "tree '" + tree.name() + "' (all cells of " +
                       tree.sparseNodes().back()->info().label + ")";
-  // Memory that is committed at once makes no access wait for its commitment.
+  // A tree that needs at most one part in `share` of the device's memory is
+  // committed at once, so that no access waits for a commitment.
   constexpr int64_t share = 8;
   bool canReserve = pieceBytes > 0;
   Status status;
@@ -66,8 +67,8 @@ Status SparseMirror::allocateBlock(int64_t bytes) {
 // Pieces
 //===----------------------------------------------------------------------===//
 
-/// Counts the committed pieces, and those that the host's data will need,
-/// before the data is copied to the device.
+/// Counts the committed pieces of reserved memory, and those that the host's
+/// data will need, before the data is copied to the device.
 Status SparseMirror::countPieces() {
   if (!isReserved)
     return Status::success();
@@ -119,8 +120,9 @@ Status SparseMirror::countPieces() {
 // Bits and lengths
 //===----------------------------------------------------------------------===//
 
-/// Calls body(offset, bytes) for the parts of a level's bits or lengths that
-/// may be non-zero by `marks`, or for all of them if they are few.
+/// Calls body(offset, bytes) for the parts of a level's activity bits or list
+/// lengths that may be non-zero according to `marks`, or for all of them if
+/// they are few.
 template <typename Marks, typename Body>
 static Status forEachPart(const SparseNode &node, int64_t numMarks,
                           const Marks &marks, const Body &body) {
@@ -149,7 +151,8 @@ static Status forEachPart(const SparseNode &node, int64_t numMarks,
 
 Status SparseMirror::sendBits(const SparseNode &node) {
   int64_t offset = node.info().activityOffset;
-  // Marks are never removed: without a mark, bits are zero on both sides.
+  // Marks of non-zero words are never removed: without a mark, bits are zero on
+  // both sides.
   auto mark = [&](int64_t i) {
     return node.marked()[i].load(std::memory_order_relaxed);
   };
@@ -163,7 +166,8 @@ Status SparseMirror::sendBits(const SparseNode &node) {
 void SparseMirror::uploadActivity(const SparseNode &node,
                                   const std::vector<int64_t> &changed) {
   constexpr size_t few = 64;
-  // A copy from the host would end the collection of work.
+  // A copy from the host would end the collection of work, so few changed words
+  // are sent by fills.
   if (context.queue().isCollecting() && changed.size() <= few) {
     context.note(sendWords(node, changed));
     return;
@@ -174,7 +178,7 @@ void SparseMirror::uploadActivity(const SparseNode &node,
   context.note(std::move(status));
 }
 
-/// Sends changed words by fills, one for each word.
+/// Sends changed words of activity to the device by fills, one for each word.
 Status SparseMirror::sendWords(const SparseNode &node,
                                const std::vector<int64_t> &changed) {
   int64_t unit = node.info().isList ? int64_t(sizeof(int32_t)) : wordBytes;
@@ -197,8 +201,8 @@ Status SparseMirror::sendWords(const SparseNode &node,
   return status ? sendAccount() : std::move(status);
 }
 
-/// Makes the host's activity of one level current. `removes`: also takes the
-/// bits of deactivated cells, and clears them on the device.
+/// Makes the host's copy of the activity of one level current. `removes`: also
+/// takes the bits of deactivated cells, and clears them on the device.
 Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   Device &device = context.get();
   size_t number = numberOf(tree, node);
@@ -214,8 +218,8 @@ Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   auto mark = [&](int64_t i) { return found[static_cast<size_t>(i)]; };
   status =
       forEachPart(node, node.numMarked(), mark, [&](int64_t at, int64_t bytes) {
-        // Round up to whole words: the length of a last list takes only half of
-        // its word.
+        // The size is rounded up to whole words, because the length of a last
+        // list takes only half of its word.
         now.assign(static_cast<size_t>((bytes + 7) / 8), 0);
         Status copied =
             device.copyOut(now.data(), row + static_cast<DevicePtr>(at), bytes);
@@ -238,8 +242,8 @@ Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   return status;
 }
 
-/// Sends the bytes of the active cells that the host knows of, and their limit,
-/// to the device.
+/// Sends to the device the bytes of the active cells that the host knows of,
+/// and their limit.
 Status SparseMirror::sendAccount() {
   const MemoryAccount &memory = context.host().memory;
   int64_t used = 0;
@@ -257,8 +261,8 @@ Status SparseMirror::sendAccount() {
                 : std::move(status);
 }
 
-/// Sends the marks of levels whose activity the host has changed, and makes
-/// lists of their cells stale.
+/// Sends to the device the marks of levels whose activity the host has changed,
+/// and makes lists of their cells stale.
 Status SparseMirror::sendActivity() {
   const auto &nodes = tree.sparseNodes();
   Status status;
@@ -314,7 +318,8 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
   if (entry.isAgain() || !base || isFetching || kept.size() == mostStates ||
       !canKeepActivity())
     return false;
-  // No launch since the last snapshot can have changed activity.
+  // No launch since the last snapshot of activity can have changed it, so no
+  // new snapshot is taken.
   if (!kept.empty() && keptGeneration == state.generation)
     return true;
   bool isThere = false;
@@ -327,7 +332,7 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
       return false;
     keptMemory.push_back(memory);
     // Bits of removed cells are written only if cells were removed, but are
-    // always fetched: zero them.
+    // always fetched, so they are zeroed first.
     char zero = 0;
     context.note(context.get().fill(memory, &zero, 1, keptBytes()));
   }

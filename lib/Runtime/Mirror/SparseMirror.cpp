@@ -108,8 +108,8 @@ Status SparseMirror::allocate(DevicePtr &address) {
   return status;
 }
 
-/// Writes the descriptor for device code to memory of its own, and the address
-/// of this memory in front of the tree.
+/// Writes the descriptor of the tree's sparse levels for device code to memory
+/// of its own, and the address of this memory in front of the tree.
 Status SparseMirror::writeDescriptor() {
   const auto &nodes = tree.sparseNodes();
   std::vector<TaiDeviceNode> entries;
@@ -211,7 +211,7 @@ Status SparseMirror::writeDescriptor() {
 // Ranges of the tree that may be non-zero
 //===----------------------------------------------------------------------===//
 
-/// Touched ranges consist of whole pages of the host.
+/// Ranges of the tree that were touched consist of whole pages of the host.
 static constexpr int64_t pageBytes = 4 << 10;
 
 void SparseMirror::touch(int64_t begin, int64_t end) {
@@ -234,8 +234,8 @@ void SparseMirror::touch(int64_t begin, int64_t end) {
   touched[begin] = end;
 }
 
-/// Whether a level has so many bits or lengths that only marked parts are
-/// copied.
+/// True if a level has so many bits or lengths that only marked parts of them
+/// are copied.
 static bool hasLongRow(const SparseNode &node) {
   return node.activityBytes() >= int64_t(1) << 20;
 }
@@ -259,7 +259,7 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
       nested &= steps[i].stride >= steps[i + 1].cells * steps[i + 1].stride;
       count = std::min(count, mostPools) * steps[i].cells;
     }
-    // Pools of less than a page contain no whole page.
+    // Pools of cells that are smaller than a page contain no whole page.
     if (!nested || count > mostPools || bytes < pageBytes)
       continue;
     int64_t first = cell * node->numCellsBelow();
@@ -268,7 +268,8 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
       pools.push_back({offset, offset + bytes});
     }
   }
-  // Long rows of bits and lengths are tracked by marks instead.
+  // Long arrays of activity bits and list lengths are tracked by marks of
+  // changed parts instead of touched ranges.
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
     if (!above && hasLongRow(*node))
       pools.push_back({node->info().activityOffset,
@@ -277,7 +278,8 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
   for (auto [from, to] : pools) {
     if (begin < from)
       touch(begin, from);
-    // Pages that are partly outside of the pool belong to its neighbours.
+    // Pages that are partly outside of the pool of cells belong to its
+    // neighbours.
     begin = std::max(begin, to);
   }
   if (begin < end)
@@ -294,7 +296,8 @@ void SparseMirror::touchCell(const SparseNode &node, int64_t cell) {
 
 Status SparseMirror::forEachRun(
     const std::function<Status(int64_t offset, int64_t bytes)> &body) {
-  // Copying a gap of this size costs less than one more copy.
+  // A gap of this size or less is copied too, since this costs less than one
+  // more copy.
   constexpr int64_t smallGap = 16 << 10;
   Status status;
   for (auto part = touched.begin(); part != touched.end() && status;) {
@@ -345,7 +348,8 @@ Status SparseMirror::fetch() {
   Section::Entry entry(moving);
   if (entry.isAgain())
     return entry.check();
-  // The function called for a snapshot may ask for activity again.
+  // The function called for a snapshot of activity may ask for activity again,
+  // which must not recurse.
   if (!isBehind() || isFetching)
     return Status::success();
   Device &device = context.get();
@@ -383,11 +387,12 @@ Status SparseMirror::fetch() {
 }
 
 //===----------------------------------------------------------------------===//
-// Changes by the host, of its own copy and of the device's
+// Changes by the host to its own copy of the tree, and to the copy on the
+// device
 //===----------------------------------------------------------------------===//
 
 void SparseMirror::hostChanges(bool removes) {
-  // Make the host's copy the only current one, which the host then changes.
+  // The host's copy is made the only current one, and then the host changes it.
   (void)tree.writable();
   state.change(removes);
 }
@@ -417,7 +422,7 @@ bool SparseMirror::deactivateAll(SparseNode &node) {
   if (!isCurrent())
     return false;
   // If cells consist of cells of the next levels alone, the latter are zeroed,
-  // by lists of their own: possibly few of them are active.
+  // each level by a list of its own: possibly few of the cells are active.
   std::vector<std::pair<SparseNode *, DeviceCellsPtr>> all;
   for (SparseNode *next : findHolders(node, tree)) {
     DeviceCellsPtr cells;

@@ -33,8 +33,8 @@ constexpr size_t pushNumber = 9, popNumber = 11;
 constexpr unsigned moduleSizes[numModules] = {0, 16, 9, 15, 7, 16, 7};
 constexpr unsigned mostFunctions = 16;
 
-/// The addresses that tools store. Tools expect a place for every function of
-/// version 3.
+/// The addresses of functions that profiling tools store in the tables. Tools
+/// expect a place for every function of version 3.
 AnyFunction functions[numModules][mostFunctions];
 AnyFunction *places[numModules][mostFunctions + 1];
 

@@ -69,7 +69,8 @@ double DeviceProgram::predict(ProgramMode mode,
                   : mode == ProgramMode::Block   ? blockUs
                   : mode == ProgramMode::Cluster ? clusterUs
                                                  : gridUs;
-  // A graph waits after each node, a kernel only at its barriers.
+  // A graph waits after each of its nodes, while a kernel waits only at its
+  // barriers.
   bool hasTiles = mode == ProgramMode::Tiles;
   const StepSchedules::Schedule &schedule = schedules->get(hasTiles);
   size_t waits =
@@ -113,7 +114,7 @@ void DeviceProgram::listWays(ProgramMode wanted) {
     shape.cluster = mode == ProgramMode::Cluster ? blocks : 0;
     addWay(mode, shape);
   };
-  // A program is linked from the bitcode of every part.
+  // A program is linked from the bitcode of every device function in it.
   bool canMake = (maker || starter) && sequence.areAllPartsKnown();
   schedules->make(
       /*wantsTiles=*/canMake &&
@@ -130,7 +131,7 @@ void DeviceProgram::listWays(ProgramMode wanted) {
     unsigned most = limits.threadsPerBlock;
     unsigned full = std::min(most, warps(width));
     add(ProgramMode::Block, 1, full);
-    // Fewer threads have more registers each.
+    // With fewer threads in a block, each thread has more registers.
     for (unsigned threads : {full / 2, full / 4})
       if (threads >= 128)
         add(ProgramMode::Block, 1, warps(threads));
@@ -142,7 +143,8 @@ void DeviceProgram::listWays(ProgramMode wanted) {
     }
     if (limits.hasGridBarriers && width > most) {
       unsigned threads = std::min(256u, most);
-      // Use only as many blocks as have work: each waits for all others.
+      // The program uses only as many blocks as have work, because each block
+      // waits for all others at barriers.
       unsigned blocks = std::clamp((width + threads - 1) / threads, 2u,
                                    limits.multiprocessors);
       if (blocks == limits.multiprocessors)
@@ -160,8 +162,8 @@ void DeviceProgram::listWays(ProgramMode wanted) {
   });
   if (wanted == ProgramMode::Automatic)
     dropHopelessWays();
-  // Kernels with overlapping launches are worth compiling only if a graph is
-  // among the fastest ways, so try them last.
+  // Ways with overlapping launches are worth compiling only if a graph is among
+  // the fastest ways to run the sequence, so they are tried last.
   for (ProgramMode last : {ProgramMode::Overlapped, ProgramMode::Aside}) {
     auto found = std::find_if(ways.begin(), ways.end(), [&](const auto &way) {
       return way->mode == last;
@@ -197,8 +199,8 @@ void DeviceProgram::dropHopelessWays() {
 // Choosing
 //===----------------------------------------------------------------------===//
 
-/// Whether a graph is among the fastest tried ways; otherwise no graph with
-/// overlapping launches is tried.
+/// True if a graph is among the fastest ways to run the sequence so far;
+/// otherwise no graph with overlapping launches is tried.
 bool DeviceProgram::mayOverlapPay() const {
   constexpr double gain = 0.75;
   const Way *graph = findGraph();
@@ -213,7 +215,8 @@ const Way *DeviceProgram::findGraph() const {
   return nullptr;
 }
 
-/// The fastest of the ways whose trials have ended; null if there is none.
+/// Returns the fastest of the ways to run the sequence whose trials have ended;
+/// null if there is none.
 Way *DeviceProgram::findFastest() const {
   Way *best = nullptr;
   for (const std::unique_ptr<Way> &way : ways)
@@ -246,11 +249,12 @@ void DeviceProgram::noteRun(bool same) {
   prefixed->noteChange();
 }
 
-/// Lists the ways to run the sequence. Called for its second run.
+/// Lists the ways in which the sequence can be run. Called for the second run
+/// of the sequence.
 void DeviceProgram::begin(ProgramMode mode, const Tools &tools) {
   begun = Clock::now();
   choices = tools.choices;
-  // A mode that was requested is compiled at once, not in the background.
+  // A mode that the user requested is compiled at once, not in the background.
   if (mode == ProgramMode::Automatic && tools.starter)
     starter = tools.starter;
   else
@@ -283,12 +287,13 @@ void DeviceProgram::use(Way *way) {
   if (way == used)
     return;
   used = way;
-  // Graphs of prefixes contain the way that was used before.
+  // Graphs that include launches before the sequence contain the way to run it
+  // that was used before, so they are outdated now.
   prefixed->noteChange();
 }
 
-/// Ends the trial of a way: uses the fastest way so far, and stores this choice
-/// after the last trial.
+/// Ends the trial of a way to run the sequence: the fastest way so far is used,
+/// and after the last trial stored as the choice.
 void DeviceProgram::endTrial(Way &way) {
   way.isTried = true;
   way.job.reset();
@@ -318,7 +323,8 @@ bool DeviceProgram::isWorthCompiling(Way &way) const {
   return elapsed.count() >= share * way.compileSeconds;
 }
 
-/// Limits trials to a twentieth of the time since the second run.
+/// Trials of ways to run a sequence take at most a twentieth of the time since
+/// its second run.
 bool DeviceProgram::mayTry() const {
   constexpr int share = 20, numRuns = 3;
   double ms = used ? used->measured : 0;
@@ -359,7 +365,8 @@ bool DeviceProgram::makeCode(Way &way) {
   return status.ok();
 }
 
-/// The way to try in this run; null to run the sequence in the best known way.
+/// Returns the way that is tried in this run; null to run the sequence in the
+/// best known way.
 Way *DeviceProgram::nextTrial() {
   for (const std::unique_ptr<Way> &way : ways) {
     if (way->isTried)
@@ -370,11 +377,12 @@ Way *DeviceProgram::nextTrial() {
     else if (way->overlaps() && !mayOverlapPay())
       refuse(*way, "launches by themselves take too long");
     else if (way->needsCode() && !makeCode(*way)) {
-      // Compile the code of one way at a time.
+      // The ways to run a sequence are compiled one after the other.
       if (!way->isTried)
         return nullptr;
     } else {
-      // The first way, which is the fallback, is tried at once.
+      // The first way to run the sequence, which is the fallback, is tried at
+      // once and does not wait for a background compilation.
       bool waits =
           starter && way->tries == 0 && way.get() != ways.front().get();
       return waits && !mayTry() ? nullptr : way.get();
@@ -390,8 +398,8 @@ Status DeviceProgram::tryWay(Way &way) {
   auto start = Clock::now();
   Status status = way.makeCurrent();
   if (!status) {
-    // If the way fails only because its code is outdated, compile new code in
-    // the background.
+    // If a way to run the sequence fails only because its code is outdated, new
+    // code is compiled in the background.
     if (way.needsCode() && starter)
       way.tries = 0;
     else
@@ -400,8 +408,8 @@ Status DeviceProgram::tryWay(Way &way) {
   }
   hasStarted = true;
   status = way.tries == 0 ? way.launch() : runTimed(way);
-  // A failure comes from one of the steps, and would occur in any way to run
-  // them.
+  // The failure comes from one of the launches of the sequence, and would occur
+  // in any way to run them.
   if (!status)
     return status;
   if (&way != ways.front().get())
@@ -411,7 +419,7 @@ Status DeviceProgram::tryWay(Way &way) {
   return status;
 }
 
-/// Runs the best known way.
+/// Runs the sequence in the best known way.
 Status DeviceProgram::runUsed() {
   if (!used) {
     hasStarted = true;
@@ -424,7 +432,8 @@ Status DeviceProgram::runUsed() {
   }
   if (!used->needsCode())
     return status;
-  // Compile new code for this way in the background; use another meanwhile.
+  // New code for this way to run the sequence is compiled in the background;
+  // the sequence is run in another way meanwhile.
   Way &lost = *used;
   lost.isTried = false;
   lost.tries = 0;
@@ -444,7 +453,8 @@ Status DeviceProgram::run(const Sequence &prefix, bool same, ProgramMode mode,
   enum class Prefix { Waits, Runs, HasRun } prefixState = Prefix::Waits;
   try {
     noteRun(same);
-    // A sequence that occurs once is not prepared.
+    // A sequence that occurs only once is not prepared to be run as a graph or
+    // program.
     if (runs == 2)
       begin(mode, tools);
     Way *trial = runs > 1 ? nextTrial() : nullptr;
@@ -459,14 +469,15 @@ Status DeviceProgram::run(const Sequence &prefix, bool same, ProgramMode mode,
       return status;
     return trial ? tryWay(*trial) : runUsed();
   } catch (const std::bad_alloc &) {
-    // Out of memory: run the steps that have not been queued one by one, since
-    // the runtime relies on them.
+    // Out of memory: the steps that have not been queued are run one by one,
+    // since the runtime relies on their effects.
     Status status;
     if (prefixState == Prefix::Waits && !hasStarted)
       status = prefix.run(device);
     if (status && !hasStarted)
       status = sequence.run(device);
-    // If all steps have run, do not fail: a later run can prepare the program.
+    // If all steps have run, this is no failure: a later run can prepare the
+    // program.
     if (hasStarted || prefixState == Prefix::Runs)
       throw;
     return status;
@@ -474,7 +485,7 @@ Status DeviceProgram::run(const Sequence &prefix, bool same, ProgramMode mode,
 }
 
 /// A description of device, kernels and steps that is the same in other
-/// processes; empty if it cannot be given.
+/// processes, as a key for stored choices; empty if none can be given.
 std::string DeviceProgram::choiceKey() const {
   std::string key = "program " + device.name() + "\n" + device.target() + "\n" +
                     std::to_string(device.limits().multiprocessors) + "\n";

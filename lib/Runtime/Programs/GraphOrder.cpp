@@ -13,7 +13,7 @@ using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::programs;
 
 GraphOrder::GraphOrder(const Sequence &sequence) : sequence(sequence) {
-  // The maximum number of comparisons of steps.
+  // The number of comparisons of steps that may still be made.
   size_t left = 4096;
   order.reserve(sequence.steps.size());
   for (uint32_t i = 0; i < sequence.steps.size(); ++i) {
@@ -65,7 +65,8 @@ std::optional<GraphOrder::FrontFills> GraphOrder::splitFront() const {
   for (; count < size() && (*this)[count].isFill(); ++count)
     if (!run.add(sequence.fillOf((*this)[count])))
       return std::nullopt;
-  // A fill, its memory, and the first later step that touches this memory.
+  // A fill among the steps, its memory, and the first later step that accesses
+  // this memory.
   struct Fill {
     const DeviceFill *fill;
     StepMemory memory;

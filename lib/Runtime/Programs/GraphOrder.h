@@ -38,8 +38,8 @@ public:
     /// `aside`.
     size_t count = 0, join = 0;
   };
-  /// Chooses the fills at the front; returns no value if the gain would be
-  /// small.
+  /// Chooses the fills that run at the front of the sequence; returns no value
+  /// if the gain would be small.
   std::optional<FrontFills> splitFront() const;
 
 private:

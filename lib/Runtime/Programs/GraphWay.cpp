@@ -45,7 +45,8 @@ Status OverlappingKernels::adopt(Device &device, const Sequence &sequence,
   return status;
 }
 
-/// Makes or changes the graph.
+/// Captures the graph of the sequence, or changes the parameters of the present
+/// graph.
 Status GraphWay::update() {
   Status status = device.beginCapture(0, overlaps());
   if (!status)

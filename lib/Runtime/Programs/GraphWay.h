@@ -12,13 +12,13 @@
 
 namespace mlir::tai::runtime::programs {
 
-/// Kernels for programmatic dependent launch, one for each function of a
+/// Kernels for programmatic dependent launch, one for each device function of a
 /// sequence. Shared by the modes Overlapped and Aside.
 class OverlappingKernels {
 public:
   bool areMade() const { return !functions.empty(); }
-  /// plan: describes the kernels to compile. adopt: creates them from the
-  /// compiled code.
+  /// plan: describes the kernels to compile. adopt: creates the kernels from
+  /// the compiled code.
   static ProgramPlan plan(const Sequence &sequence);
   Status adopt(Device &device, const Sequence &sequence,
                const DeviceImage &image);
@@ -63,7 +63,7 @@ private:
   const Sequence &sequence;
   OverlappingKernels *overlapping;
   std::unique_ptr<DeviceGraph> graph;
-  /// The number of nodes of the graph that run one after another.
+  /// The number of graph nodes that run one after another.
   size_t numNodes = 0;
 };
 

@@ -23,14 +23,15 @@ KernelWay::~KernelWay() {
 }
 
 static int scopeOf(ProgramMode mode, DeviceKind kind) {
-  // On the emulated device, a block's barrier holds for all blocks.
+  // On the emulated device, a barrier of a block is a barrier of all threads,
+  // because the program runs as one block.
   if (mode == ProgramMode::Block || kind == DeviceKind::Emulated)
     return TAI_SCOPE_BLOCK;
   return mode == ProgramMode::Cluster ? TAI_SCOPE_CLUSTER : TAI_SCOPE_GRID;
 }
 
-/// Whether the steps of programs are timed, for tape.explain(). Reading the
-/// clock costs some nanoseconds a step, so it must be asked for.
+/// True if the steps of programs are timed, for tape.explain(). Reading the
+/// clock costs some nanoseconds a step, so timing must be asked for.
 static bool areStepsTimed() {
   const char *given = std::getenv("TAI_PROGRAM_CLOCKS");
   return given && *given && *given != '0';
@@ -60,14 +61,15 @@ Status KernelWay::plan(ProgramPlan &plan) {
   return Status::success();
 }
 
-/// Loads newly compiled code. If loading fails, the present code stays in use.
+/// Loads the newly compiled code of a program. If loading fails, the present
+/// code stays in use.
 Status KernelWay::adopt(const DeviceImage &image) {
   std::unique_ptr<DeviceModule> loaded;
   DeviceFunction *found = nullptr;
   Status status = device.load(image, loaded);
   if (status)
     status = device.find(*loaded, image.functions.front(), found);
-  // Queued work may still run the former module.
+  // Queued work may still run the former module, so the host waits for it.
   if (status && module)
     status = device.synchronize();
   if (!status)
@@ -92,10 +94,11 @@ Status KernelWay::adopt(const DeviceImage &image) {
   return status;
 }
 
-/// Size of the header in front of a program's table.
+/// The size in bytes of the header in front of a program's step table.
 static constexpr int64_t headerBytes = TAI_PROGRAM_HEADER;
 
-/// Updates the table, and the code if necessary, to the current slots.
+/// Updates the program's step table, and its code if necessary, to the current
+/// parameter slots.
 Status KernelWay::update() {
   schedules.update();
   std::vector<LoopStep> steps;
@@ -103,8 +106,8 @@ Status KernelWay::update() {
     steps = schedules.listSteps(usesTiles);
   std::vector<uint64_t> rows;
   if (steps.empty() || !loops.pack(steps, words, rows)) {
-    // The parameters vary from step to step in a new way: make code without
-    // loops, which fits any parameters.
+    // The parameters vary from step to step differently than before, so the
+    // code is made without loops, and fits any parameters.
     if (usesTiles)
       schedules.dropTiles();
     usesTiles = usesLoops = false;
@@ -129,13 +132,14 @@ Status KernelWay::update() {
 Status KernelWay::updateTable(const std::vector<uint64_t> &rows) {
   auto bytes = static_cast<int64_t>(rows.size() * sizeof(uint64_t));
   Status status;
-  // The table can grow, since code without loops has more rows in it.
+  // The step table can grow, since code without loops has more rows in it.
   if (table && bytes > tableBytes) {
     device.free(table);
     table = 0;
   }
   if (!table) {
-    // Loops also read the row after the last one of a list.
+    // The loops of a program also read (prefetch) one row behind the last row
+    // of a parameter list, so spare bytes follow the step table.
     constexpr int64_t spareBytes = 1024;
     status = device.allocate(headerBytes + bytes + spareBytes, table);
     tableBytes = bytes;
@@ -165,7 +169,8 @@ Status KernelWay::launch() {
   return runSteps(runner);
 }
 
-/// Runs the steps that are too large for the kernel's threads, then the kernel.
+/// Runs the steps that are too large for the program's threads, and then the
+/// program.
 Status KernelWay::runSteps(StepRunner &runner) {
   Status status;
   for (size_t i = 0; status && i < schedules.countBefore(); ++i)
@@ -197,7 +202,8 @@ std::string KernelWay::describe() const {
   return text;
 }
 
-/// Clock cycles on one multiprocessor, summed by the function of each step.
+/// Describes the clock cycles of a program on one multiprocessor, summed by the
+/// function of each step.
 std::string KernelWay::explainClocks() const {
   if (!clocks)
     return "";

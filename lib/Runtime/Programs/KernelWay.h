@@ -23,8 +23,9 @@ namespace mlir::tai::runtime::programs {
 
 class KernelWay final : public Way {
 public:
-  /// `maker`: compiles at once if parameters vary in a new way. If null, the
-  /// way then needs new code (needsCode), and is unusable until adopt().
+  /// `maker` compiles code at once if parameters vary in a new way. If it is
+  /// null, the program then needs new code (needsCode), and cannot be used
+  /// until adopt().
   KernelWay(Device &device, const Sequence &sequence, ProgramMode mode,
             double predicted, const ProgramMaker &maker,
             StepSchedules &schedules, const LaunchShape &shape)
@@ -60,11 +61,11 @@ private:
   /// Device memory for the time stamps (number of steps + 1); 0 if steps are
   /// not timed.
   DevicePtr clocks = 0;
-  /// The loops of the loaded code.
+  /// The loops of the program code that is loaded.
   ProgramLoops loops;
-  /// The loops of code that is planned, but not loaded yet.
+  /// The loops of program code that is planned, but not loaded yet.
   ProgramLoops planned;
-  /// usesLoops: whether the code may contain loops. isOutdated: whether the
+  /// usesLoops: true if the code may contain loops. isOutdated: true if the
   /// loops of the loaded code no longer fit the parameters.
   bool usesLoops = true, isOutdated = false;
   std::vector<uint64_t> words;

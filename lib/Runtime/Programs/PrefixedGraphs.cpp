@@ -13,7 +13,8 @@ using namespace mlir::tai::runtime::programs;
 
 Status PrefixedGraphs::run(const Sequence &prefix, Way &way) {
   Prefixed &entry = find(prefix);
-  // Like a sequence, a prefix gets a graph only when it is repeated.
+  // Like a sequence, a prefix (launches before a sequence) gets a graph only
+  // when it is repeated.
   bool isFirst = entry.runs++ == 0, same = entry.prefix.slots == prefix.slots;
   entry.changes += !same;
   if (!isFirst && device.limits().hasGraphs && entry.refused.empty()) {
@@ -61,7 +62,7 @@ PrefixedGraphs::Prefixed &PrefixedGraphs::find(const Sequence &prefix) {
   return *entries.back();
 }
 
-/// Captures the prefix and the work of `way` as one graph.
+/// Captures the launches of a prefix and the work of `way` as one graph.
 Status PrefixedGraphs::capture(Prefixed &entry, Way &way) {
   Status status = way.prepareSteps();
   if (status)
@@ -79,8 +80,8 @@ Status PrefixedGraphs::capture(Prefixed &entry, Way &way) {
   return status ? std::move(ended) : std::move(status);
 }
 
-/// Changes the parameters of the graph's launches to those in `prefix`. False
-/// if the graph must be captured again.
+/// Changes the parameters of the graph's launches to the parameters in
+/// `prefix`. False if the graph must be captured again.
 bool PrefixedGraphs::change(Prefixed &entry, const Sequence &prefix) {
   size_t changeable = prefix.countFirstLaunches();
   for (size_t i = 0; i < prefix.steps.size(); ++i) {

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Launches between two replays run together with the second one, as one graph
-// if the device has graphs. The program of the replay itself is unchanged, so
-// that a replay without such launches needs no new program. See
-// docs/decisions/0014-launches-between-replays.md.
+// Runs the launches between two replays of a tape together with the second
+// replay, as one graph if the device has graphs. The program of the replay
+// itself is unchanged, so that a replay without such launches needs no new
+// program. See docs/decisions/0014-launches-between-replays.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,9 +23,11 @@ class PrefixedGraphs {
 public:
   explicit PrefixedGraphs(Device &device) : device(device) {}
 
-  /// Runs the launches of `prefix`, then `way`.
+  /// Runs the launches of `prefix`, which came before the sequence, and then
+  /// the sequence in the way `way`.
   Status run(const Sequence &prefix, Way &way);
-  /// Notes that the way to run a sequence, or its slots, have changed.
+  /// Notes that the way to run the sequence, or its parameter slots, have
+  /// changed.
   void noteChange();
   bool uses(const Module &module) const;
   std::string explain() const;
@@ -34,7 +36,7 @@ private:
   struct Prefixed {
     Sequence prefix;
     std::unique_ptr<DeviceGraph> graph;
-    /// Whether the graph has the current parameter slots of the sequence.
+    /// True if the graph has the current parameter slots of the sequence.
     bool isCurrent = false;
     std::string refused;
     int runs = 0, changes = 0;
@@ -44,7 +46,7 @@ private:
   bool change(Prefixed &entry, const Sequence &prefix);
 
   Device &device;
-  /// The most recently used entry is last.
+  /// The graphs with prefixes, the most recently used one last.
   std::vector<std::unique_ptr<Prefixed>> entries;
 };
 

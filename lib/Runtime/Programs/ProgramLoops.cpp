@@ -13,15 +13,17 @@
 
 using namespace mlir::tai::runtime;
 
-/// The code of longer loops would not fit the instruction caches.
+/// The most steps in the body of a loop: the code of longer bodies would not
+/// fit the instruction caches.
 static constexpr size_t longestPeriod = 64;
 /// The minimum number of repetitions of some steps for which a loop in the code
 /// pays.
 static constexpr size_t fewestRepetitions = 4;
-/// Limits the size of code: each step in the body of a loop adds to it.
+/// The most steps in the bodies of all loops, which limits the size of the
+/// code.
 static constexpr size_t mostLoopSteps = 128;
 
-/// Whether the step is a tile chain, which has no row in the table.
+/// True if the step is a tile chain, which has no row in the step table.
 static bool isChain(const LoopStep &step) {
   return step.part >= firstChainPart;
 }
@@ -30,7 +32,8 @@ static bool areAlike(const LoopStep &a, const LoopStep &b) {
   return a.part == b.part && a.waits == b.waits && a.numSlots == b.numSlots;
 }
 
-/// How often the `period` steps from `first` on occur one after the other.
+/// Counts how often the `period` steps from `first` on occur one after the
+/// other.
 static size_t countRepetitions(const std::vector<LoopStep> &steps, size_t first,
                                size_t period) {
   size_t same = 0;
@@ -40,7 +43,8 @@ static size_t countRepetitions(const std::vector<LoopStep> &steps, size_t first,
   return 1 + same / period;
 }
 
-/// How a parameter changes from one iteration of a loop to the next.
+/// Returns how a parameter of a step changes from one iteration of a loop to
+/// the next.
 static ProgramSlot::Kind classify(const std::vector<LoopStep> &steps,
                                   size_t first, size_t period, size_t count,
                                   size_t slot) {
@@ -72,8 +76,8 @@ ProgramLoops::ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops) {
   stride = 8;
   for (const LoopStep &step : steps)
     stride = std::max(stride, isChain(step) ? 0 : step.numSlots);
-  // A row of the table holds the number of a step's part, and then its
-  // parameters.
+  // A row of the step table holds the part number of a step, and then the
+  // parameters of the step.
   ++stride;
   size_t loopSteps = 0;
   for (size_t at = 0; at < steps.size();) {
@@ -100,7 +104,7 @@ ProgramLoops::ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops) {
       fits = false;
     ++at;
   }
-  // In the table, lists come after the rows of single steps.
+  // In the step table, the lists of loops come after the rows of single steps.
   for (ProgramSegment &segment : segments)
     tableWords += segment.isLoop() ? 0 : segment.count * stride;
   for (ProgramSegment &segment : segments)
@@ -123,7 +127,8 @@ bool ProgramLoops::addLoop(const std::vector<LoopStep> &steps, size_t first,
   ProgramSegment segment;
   segment.first = first;
   segment.count = count;
-  // Steps share many parameters, the addresses of fields above all.
+  // Steps share many parameters, the addresses of fields above all, so equal
+  // parameters share a word.
   std::unordered_map<uint64_t, size_t> fixedWords;
   size_t before = origins.size();
   for (size_t j = 0; j < period; ++j) {
@@ -190,8 +195,8 @@ bool ProgramLoops::pack(const std::vector<LoopStep> &steps,
   return true;
 }
 
-/// Writes the list of a loop; false if the steps or other parameters do not fit
-/// the loop.
+/// Writes the parameter list of a loop; false if the steps or other parameters
+/// do not fit the loop.
 bool ProgramLoops::packLoop(const ProgramSegment &segment,
                             const std::vector<LoopStep> &steps,
                             const std::vector<uint64_t> &words,

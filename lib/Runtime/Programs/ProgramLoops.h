@@ -20,9 +20,10 @@
 
 namespace mlir::tai::runtime {
 
-/// One step of a sequence.
+/// One step of a sequence, as input to the search for loops.
 struct LoopStep {
-  /// The number of the part; see tai/ABI/DeviceAbi.h.
+  /// The number of the program part that the step runs; see
+  /// tai/ABI/DeviceAbi.h.
   uint64_t part;
   /// Whether a barrier follows.
   bool waits;
@@ -30,22 +31,23 @@ struct LoopStep {
   size_t numSlots;
 };
 
-/// Divides the steps of a sequence into segments: loops, and rows of a table
-/// for all other steps.
+/// Divides the steps of a sequence into segments: loops, and rows of a step
+/// table for all other steps.
 class ProgramLoops {
 public:
   ProgramLoops() = default;
-  /// Without `useLoops`, all steps are rows of one table.
+  /// Divides `steps` into segments. Without `useLoops`, all steps are rows of
+  /// one step table.
   ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops);
 
-  /// Whether all steps fit; false if there are too many tile chains, which
+  /// True if all steps fit; false if there are too many tile chains, which
   /// cannot be rows of a table.
   bool isComplete() const { return fits; }
   const std::vector<ProgramSegment> &getSegments() const { return segments; }
   /// The number of words of loop parameters.
   size_t numWords() const { return origins.size(); }
   size_t numLoopSteps() const;
-  /// The number of words in a row of the table.
+  /// The number of words in a row of the step table.
   size_t getStride() const { return stride; }
 
   /// Makes parameters and table for steps of the same structure as those of the
@@ -61,8 +63,8 @@ private:
                 const std::vector<LoopStep> &steps,
                 const std::vector<uint64_t> &words, uint64_t *list) const;
 
-  /// The source of a parameter word: a slot of `step`, or, if `isGrowth`, the
-  /// difference of this slot in steps `next` and `step`.
+  /// The source of a loop's parameter word: a slot of `step`, or, if
+  /// `isGrowth`, the difference of this slot in steps `next` and `step`.
   struct Origin {
     size_t step, slot;
     size_t next;

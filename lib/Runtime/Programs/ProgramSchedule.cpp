@@ -24,7 +24,8 @@ using namespace mlir::tai::runtime;
 // Memory of a step
 //===----------------------------------------------------------------------===//
 
-/// Merges dimensions that are adjacent in memory; drops those of extent 1.
+/// Makes a map from iterations to addresses. Merges dimensions that are
+/// adjacent in memory, and drops dimensions of extent 1.
 static Footprint::Map makeMap(const std::vector<int64_t> &extents,
                               const std::vector<int64_t> &strides) {
   Footprint::Map map;
@@ -135,29 +136,30 @@ bool mlir::tai::runtime::liesBetween(int64_t distance, int64_t bytes,
   return distance >= size && bytes <= step - distance;
 }
 
-/// True if all elements of one piece lie between those of the other: fields
-/// that share cells do.
+/// True if all elements of one memory piece lie between elements of the other,
+/// as the elements of fields that share cells do.
 static bool areInterleaved(const StepMemory::Piece &a,
                            const StepMemory::Piece &b) {
   return liesBetween(static_cast<int64_t>(b.first - a.first), b.size, a.size,
                      std::gcd(a.step, b.step));
 }
 
-/// True if all of one piece lies between two elements of the other, as numbers
-/// lie between rows of gradients that are zeroed.
+/// True if all of one memory piece lies between two elements of the other, as
+/// numbers lie between rows of gradients that are zeroed.
 static bool liesBetween(const StepMemory::Piece &a,
                         const StepMemory::Piece &b) {
   return liesBetween(static_cast<int64_t>(a.begin - b.first),
                      static_cast<int64_t>(a.end - a.begin), b.size, b.step);
 }
 
-/// True if each byte is accessed by the same iteration in both pieces, and by
-/// no other iteration.
+/// True if the two memory pieces are divided among iterations alike: each byte
+/// is accessed by the same iteration in both, and by no other.
 static bool haveSameThreads(const StepMemory::Piece &a,
                             const StepMemory::Piece &b) {
   if (!a.map || !b.map || a.map->size() != b.map->size())
     return false;
-  // Only the extents of the outermost digits may differ.
+  // The two maps from iterations to addresses may differ only in the extents of
+  // their outermost digits (parts of the iteration number).
   for (size_t i = 0; i < a.map->size(); ++i)
     if ((*a.map)[i].second != (*b.map)[i].second ||
         (i + 1 < a.map->size() && (*a.map)[i].first != (*b.map)[i].first))
@@ -168,7 +170,7 @@ static bool haveSameThreads(const StepMemory::Piece &a,
                                     b.first + static_cast<uint64_t>(b.window)) -
                            first);
   // Iterations access different bytes if each stride exceeds the width of all
-  // faster digits together.
+  // dimensions with smaller strides together.
   for (size_t i = 0; i < a.map->size(); ++i) {
     auto [extent, stride] = (*a.map)[i];
     if (stride < width)
@@ -195,13 +197,14 @@ StepRelation mlir::tai::runtime::getRelation(const StepMemory &a,
   StepRelation most = a.isSingle && b.isSingle ? StepRelation::SameThread
                                                : StepRelation::Barrier;
   StepRelation result = StepRelation::None;
-  // Raises `result` to the strongest relation of two pieces; returns true once
-  // it is `most`, which ends the search.
+  // Compares all pairs of memory pieces, and raises `result` to the strongest
+  // relation; returns true once it is `most`, which ends the search.
   auto compare = [&](const std::vector<StepMemory::Piece> &ones,
                      const std::vector<StepMemory::Piece> &others) {
     for (const StepMemory::Piece &one : ones)
       for (const StepMemory::Piece &other : others) {
-        // Skip pieces that lie apart, as most do.
+        // Memory pieces whose address ranges lie apart, as most do, are
+        // skipped.
         if (one.end <= other.begin || other.end <= one.begin)
           continue;
         result = std::max(result, std::min(most, ::getRelation(one, other)));
@@ -220,7 +223,7 @@ StepRelation mlir::tai::runtime::getRelation(const StepMemory &a,
 //===----------------------------------------------------------------------===//
 
 ProgramSchedule::ProgramSchedule(const std::vector<StepMemory> &steps) {
-  // The maximum number of groups, and of steps, that a step is moved past.
+  // The maximum number of groups, and of steps, past which a step is moved.
   constexpr size_t mostGroups = 12, mostSteps = 192;
   std::vector<std::vector<uint32_t>> groups;
   for (uint32_t i = 0; i < steps.size(); ++i) {
@@ -249,6 +252,6 @@ ProgramSchedule::ProgramSchedule(const std::vector<StepMemory> &steps) {
       order.push_back(step);
       waits.push_back(step == group.back());
     }
-  // There is no barrier after the last group.
+  // There is no barrier after the last group of steps.
   numBarriers = groups.empty() ? 0 : groups.size() - 1;
 }

@@ -13,7 +13,8 @@
 
 namespace mlir::tai::runtime::programs {
 
-/// The representation of a sequence on the device: a graph, or a kernel.
+/// A way to run a sequence of launches on the device: as a graph, or as a
+/// kernel.
 class Way {
 public:
   Way(Device &device, ProgramMode mode, double predicted)
@@ -23,26 +24,29 @@ public:
   virtual ~Way() = default;
 
   const ProgramMode mode;
-  /// Predicted and measured time in milliseconds; negative if not measured yet.
+  /// The predicted and the measured time of a run in milliseconds; negative if
+  /// not measured yet.
   double predicted, measured = -1;
-  /// Why the way cannot be used; empty if it can.
+  /// The reason why this way to run a sequence cannot be used; empty if it can.
   std::string refused;
   /// The compilation of the way's code on another thread, or null.
   std::unique_ptr<ProgramJob> job;
-  /// The predicted time to compile the way's code; negative if not known.
+  /// The predicted time to compile the code of this way; negative if not known.
   double compileSeconds = -1;
-  /// The number of trial runs so far, and whether the trial is over.
+  /// The number of trial runs of this way so far, and a flag that tells whether
+  /// the trial is over.
   int tries = 0;
   bool isTried = false;
 
   virtual bool isGraph() const = 0;
-  /// Whether the way uses programmatic dependent launch.
+  /// True if this way to run a sequence uses programmatic dependent launch.
   virtual bool overlaps() const { return false; }
-  /// Whether the way runs chains of launches in tiles.
+  /// True if this way to run a sequence runs chains of launches in tiles
+  /// (ranges of iterations).
   virtual bool hasTiles() const { return false; }
 
-  /// Whether the way needs code that does not exist yet: then plan() describes
-  /// the code, and adopt() loads it.
+  /// True if this way to run a sequence needs code that does not exist yet:
+  /// then plan() describes the code, and adopt() loads it.
   virtual bool needsCode() const { return false; }
   virtual Status plan(ProgramPlan &plan) {
     (void)plan;
@@ -52,19 +56,20 @@ public:
     (void)image;
     return Status::success();
   }
-  /// Notes that the slots of the sequence have changed.
+  /// Notes that the parameter slots of the sequence have changed.
   void noteChange() { isCurrent = false; }
-  /// Updates the way to the current slots.
+  /// Updates the graph or program to the current parameter slots of the
+  /// sequence.
   Status makeCurrent();
   /// Runs the sequence in this way, outside of any other graph.
   virtual Status launch() = 0;
-  /// Prepares the way for runSteps.
+  /// Prepares this way to run a sequence for a call of runSteps.
   virtual Status prepareSteps() = 0;
-  /// Queues the work of the way as part of a graph that is being captured.
+  /// Queues the work of the sequence as part of a graph that is being captured.
   virtual Status runSteps(StepRunner &runner) = 0;
 
-  /// Describe the composition of the way, and the times of the steps of its
-  /// last run.
+  /// Describe, for a report, the launches that this way to run a sequence
+  /// makes, and the times of the steps of its last run.
   virtual std::string describe() const = 0;
   virtual std::string explainClocks() const { return ""; }
 

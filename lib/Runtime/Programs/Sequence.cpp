@@ -156,7 +156,8 @@ bool Sequence::uses(const Module &module) const {
 // Fills
 //===----------------------------------------------------------------------===//
 
-/// Whether each row of `second` starts where a row of `first` ends.
+/// True if each row of the strided memory `second` starts where a row of
+/// `first` ends.
 static bool isBeside(const DeviceRows &first, const DeviceRows &second) {
   if (second.address != first.address + static_cast<uint64_t>(first.rowBytes) ||
       first.rows != second.rows || first.outer != second.outer)
@@ -168,7 +169,8 @@ static bool isBeside(const DeviceRows &first, const DeviceRows &second) {
                                (first.rows > 1 || bytes <= first.outerStep)));
 }
 
-/// Merges contiguous rows into one row, and turns groups of one row into rows.
+/// Simplifies strided rows: merges contiguous rows into one row, and turns
+/// groups of one row into rows.
 static void closeUp(DeviceRows &rows) {
   if (rows.rows > 1 && rows.rowBytes == rows.step) {
     rows.rowBytes *= rows.rows;
@@ -213,9 +215,9 @@ void Sequence::addFill(const DeviceRows &rows, const void *pattern,
                        int patternBytes) {
   DeviceFill fill{rows, repeatPattern(pattern, patternBytes), patternBytes};
   closeUp(fill.rows);
-  // Compare the new fill with the last fills of the sequence. stays: whether
-  // each of them stays, the last fill first. place: the position of the new
-  // fill.
+  // The new fill is compared with the last fills of the sequence. stays:
+  // whether each of them stays, the last fill first. place: the position of the
+  // new fill.
   constexpr size_t most = 16;
   bool stays[most];
   size_t first = steps.size(), place = steps.size();
@@ -247,7 +249,7 @@ void Sequence::addFill(const DeviceRows &rows, const void *pattern,
     else if (!canChangePlaces(before, fill))
       break;
   }
-  // Re-appends all fills from the first removed one.
+  // The fills behind the first removed fill are appended anew.
   std::vector<DeviceFill> again;
   for (size_t at = first; at < steps.size(); ++at) {
     if (at == place)

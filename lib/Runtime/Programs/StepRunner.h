@@ -13,15 +13,16 @@
 
 namespace mlir::tai::runtime::programs {
 
-/// Queues steps in order, and consecutive fills together.
+/// Queues the steps of a sequence in order, and consecutive fills together.
 class StepRunner {
 public:
   explicit StepRunner(Device &device) : device(device) {}
   Status run(const Sequence &sequence, const Step &step);
   Status runAll(const Sequence &sequence);
-  /// Queues pending fills; call before other work is queued.
+  /// Queues the fills that are pending. Must be called before other work is
+  /// queued.
   Status finish();
-  /// The number of separate pieces of work so far.
+  /// The number of separate pieces of work queued so far.
   size_t numPieces() const { return pieces; }
 
 private:

@@ -90,7 +90,7 @@ void StepSchedules::update() {
 // Tiles
 //===----------------------------------------------------------------------===//
 
-/// The memory that the launches of a chain touch, by any thread.
+/// The memory that the launches of a tile chain access, by any thread.
 static StepMemory unite(const std::vector<StepMemory> &memory, size_t first,
                         size_t count) {
   StepMemory all;
@@ -147,7 +147,8 @@ void StepSchedules::makeTiled(const std::vector<StepMemory> &memory) {
   }
   if (hasChains)
     tiled.order = ProgramSchedule(united);
-  // Tiles need a grid with a block for each: they must save many barriers.
+  // Tiles need a grid with a block for each tile, so they must save many
+  // barriers to be worth it.
   if (!hasChains || 4 * tiled.order.numBarriers > 3 * plain.order.numBarriers)
     tiled = Schedule();
 }
@@ -217,7 +218,7 @@ std::vector<LoopStep> StepSchedules::listSteps(bool withTiles) const {
     listed.slots = sequence.slots.data() + step.firstSlot;
     listed.numSlots = step.numSlots;
     if (unit.chain >= 0) {
-      // The slots of the launches of a chain are consecutive.
+      // The parameter slots of the launches of a tile chain are consecutive.
       const Step &last = sequence.steps[unit.first + unit.count - 1];
       listed.part = firstChainPart + static_cast<uint64_t>(unit.chain);
       listed.numSlots = last.firstSlot + last.numSlots - step.firstSlot;

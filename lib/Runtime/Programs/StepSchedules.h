@@ -25,7 +25,7 @@ public:
   StepSchedules(const Device &device, const Sequence &sequence)
       : device(device), sequence(sequence) {}
 
-  /// Consecutive steps that are one unit of a program: a single step, or a
+  /// Consecutive steps that are one unit of a program: a single step, or a tile
   /// chain.
   struct Unit {
     size_t first, count;
@@ -34,15 +34,16 @@ public:
   };
   struct Schedule {
     std::vector<Unit> units;
-    /// The order of the units, and the barriers between them.
+    /// The order of the units of the program, and the barriers between them.
     ProgramSchedule order;
     const Unit &unit(size_t at) const { return units[order.order[at]]; }
   };
 
-  /// Computes the schedules. `wantsTiles`: also the one with tiles, if chains
-  /// exist.
+  /// Computes the schedules. With `wantsTiles`, also computes the schedule with
+  /// tiles, if tile chains exist.
   void make(bool wantsTiles);
-  /// Computes the schedules again if parameters that affect them have changed.
+  /// Computes the schedules again if launch parameters that affect them have
+  /// changed.
   void update();
   /// Makes update() compute no schedule with tiles any more.
   void dropTiles() { wantsTiles = false; }
@@ -57,13 +58,14 @@ public:
   LaunchShape getTileShape() const;
   /// The number of steps that run separately before the program.
   size_t countBefore() const { return numBefore; }
-  /// The number of steps whose accesses are not known.
+  /// The number of steps whose memory accesses are not known.
   size_t countUnknown() const { return numUnknown; }
 
-  /// The steps with the numbers of their parts, in the order of the schedule.
+  /// The steps with the numbers of their program parts, in the order of the
+  /// schedule.
   std::vector<LoopStep> listSteps(bool withTiles) const;
-  /// Adds the single-iteration functions, numbered after the other parts, and
-  /// the chains that call them.
+  /// Adds to the plan the functions that run single iterations, numbered after
+  /// the other parts, and the tile chains that call them.
   void addTiles(ProgramPlan &plan) const;
   std::string describe(const Unit &unit) const;
   std::string describeChains() const;
@@ -79,7 +81,7 @@ private:
   /// units; empty if there are no chains.
   Schedule plain, tiled;
   bool wantsTiles = false;
-  /// All chains so far, by number.
+  /// All tile chains found so far, by number.
   std::vector<TileChain> chains;
   size_t numBefore = 0, numUnknown = 0;
   /// The slots that determine which memory the steps access, and the values of

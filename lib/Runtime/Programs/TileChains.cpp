@@ -20,7 +20,7 @@
 using namespace mlir::tai::runtime;
 
 namespace {
-/// An access site of a launch, with its address and range.
+/// A load or store site of a launch, with its address and range in memory.
 struct Place {
   const TileSite *site;
   uint64_t address, begin, end;
@@ -46,7 +46,8 @@ private:
   void findLoads();
   void alignHalos();
   bool chooseTile();
-  /// Calls f(stage, site, row) for each site that accesses a row.
+  /// Calls f(stage, site, array) for each load or store site that accesses an
+  /// array which the chain of launches writes.
   template <typename F> void forEachSite(const F &f) {
     for (size_t s = 0; s < count; ++s)
       for (size_t k = 0; k < chain.stages[s].sites.size(); ++k)
@@ -60,7 +61,7 @@ private:
   TileChain chain;
   size_t rank = 0;
   std::vector<std::vector<Place>> places;
-  /// For each row (an array that the chain writes), the memory of all its
+  /// For each array that the chain of launches writes, the memory of all its
   /// cells.
   std::vector<Place> rowPlaces;
 };
@@ -70,7 +71,8 @@ static bool isWrite(const TileSite &site) {
   return site.access.kind != DeviceAccess::Read;
 }
 
-/// Adds a stage for each launch. False unless all launches run over one box.
+/// Adds a stage to the tile chain for each launch. False unless all launches
+/// run over one box of iterations.
 bool ChainMaker::addStages() {
   if (count == 0 || !steps[0].function)
     return false;
@@ -148,7 +150,7 @@ bool ChainMaker::findPlace(const ChainStep &step, const TileSite &site,
   return access.unit == 0 || sum < 0x1p30 * double(access.unit);
 }
 
-/// True only if the two places have no byte in common.
+/// True only if the memory of the two sites has no byte in common.
 bool ChainMaker::isApart(const Place &one, const Place &other) const {
   if (one.end <= other.begin || other.end <= one.begin)
     return true;
@@ -167,7 +169,7 @@ static bool areSameCells(const TileSite &one, const TileSite &other) {
   return true;
 }
 
-/// True if no two cells share a byte.
+/// True if no two cells that a load or store site accesses share a byte.
 static bool isInjective(const TileSite &site) {
   std::vector<TileSite::Digit> digits = site.digits;
   std::sort(digits.begin(), digits.end(),
@@ -193,7 +195,8 @@ bool ChainMaker::findRows() {
       places[s].push_back(place);
       if (!isWrite(site))
         continue;
-      // Each iteration must write its own cell.
+      // Each iteration must write only the cell of the array that has its own
+      // number.
       bool isOwn = site.isRegular && isInjective(site);
       for (size_t d = 0; isOwn && d < rank; ++d)
         isOwn = site.digits[d].shift == 0 && !site.digits[d].wraps &&
@@ -251,8 +254,8 @@ bool ChainMaker::findCyclicDimensions() {
   return true;
 }
 
-/// Whether an iteration accesses cells that other iterations of the same launch
-/// write.
+/// Finds out whether an iteration accesses cells that other iterations of the
+/// same launch write.
 bool ChainMaker::findRaces() const {
   for (const TileStage &stage : chain.stages)
     for (size_t k = 0; k < stage.sites.size(); ++k)
@@ -274,8 +277,8 @@ static void grow(TileHalo &halo, const TileHalo &other, const TileSite &site) {
   }
 }
 
-/// Finds the halo of each launch's tile: a launch must write all cells that
-/// later launches of the chain read in the tile.
+/// Finds the halo of the tile for each launch of the chain: a launch must write
+/// all cells that later launches of the chain read in the tile.
 void ChainMaker::findHalos() {
   for (size_t s = count; s-- > 0;) {
     TileStage &stage = chain.stages[s];
@@ -293,7 +296,7 @@ void ChainMaker::findHalos() {
   });
 }
 
-/// Finds the overlays (tiles of a row in shared memory) that start with the
+/// Finds the overlays (copies of arrays in shared memory) that start with the
 /// contents of memory, and whether blocks must then wait for each other.
 void ChainMaker::findLoads() {
   std::vector<bool> isWritten(chain.rows.size(), false);
@@ -342,8 +345,8 @@ void ChainMaker::alignHalos() {
 
 static int64_t ceilOf(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
-/// Chooses the tile with the fewest cells including the largest halo, such that
-/// there is a block for each tile.
+/// Chooses the tile size with the fewest cells including the largest halo, such
+/// that there is a block for each tile.
 bool ChainMaker::chooseTile() {
   if (chain.rows.empty())
     return false;
@@ -362,8 +365,8 @@ bool ChainMaker::chooseTile() {
     chain.tile = tile;
   };
   std::vector<int64_t> tile(rank, 1);
-  // Try each number of tiles along all dimensions but the last, which gets the
-  // remaining tiles.
+  // Each number of tiles is tried along all dimensions but the last, which gets
+  // the remaining tiles.
   auto choose = [&](auto &self, size_t d, int64_t left) -> void {
     int64_t extent = chain.upper[d] - chain.lower[d];
     if (d + 1 == rank) {
@@ -409,7 +412,8 @@ mlir::tai::runtime::makeChain(const ChainStep *steps, size_t count,
   return ChainMaker(steps, count, limits).make();
 }
 
-/// Whether the last launch accesses cells that earlier launches write.
+/// True if the last launch of the chain accesses cells that earlier launches
+/// write.
 static bool isLastRelated(const TileChain &chain) {
   const TileStage &last = chain.stages.back();
   for (size_t s = 0; s + 1 < chain.stages.size(); ++s)

@@ -12,7 +12,7 @@
 
 namespace mlir::tai::runtime {
 
-/// A launch, as input to the search for tile chains.
+/// Describes a launch, as input to the search for tile chains.
 struct ChainStep {
   /// The accesses of the launched function; null if it cannot run in tiles.
   const FunctionAccesses *function = nullptr;
@@ -23,7 +23,7 @@ struct ChainStep {
 };
 
 struct TileLimits {
-  /// Maxima for a chain: the number of tiles, bytes of shared memory in a
+  /// Maxima for a tile chain: the number of tiles, bytes of shared memory in a
   /// block, and cells of a tile with its halo.
   int64_t mostTiles = 1, mostBytes = 0, mostCells = 0;
 };

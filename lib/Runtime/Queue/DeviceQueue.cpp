@@ -170,8 +170,8 @@ Status DeviceQueue::fillRows(const DeviceRows &to, const void *pattern,
   if (to.rowBytes == 0 || to.rows == 0 || to.outer == 0)
     return Status::success();
   collected->addFill(to, pattern, patternBytes);
-  // Keep the fill until other work needs it: it can be merged with neighbouring
-  // fills, or become part of the next sequence.
+  // The fill is kept until other work needs its result: it can be merged with
+  // neighbouring fills, or become part of the next sequence.
   isKeeping |= collecting == 0;
   return oneByOne ? settle() : Status::success();
 }
@@ -227,8 +227,8 @@ Status DeviceQueue::synchronize() {
 }
 
 void DeviceQueue::free(DevicePtr memory) {
-  // Queue collected work, which may use the memory. A recording goes on: its
-  // memory is released after the work, so the thread need not wait.
+  // Collected work may use the memory, so it is queued first. A recording goes
+  // on: its memory is released after the work, so the thread need not wait.
   bool isOutOfMemory = false;
   try {
     if (!isRecording())
@@ -261,11 +261,13 @@ DeviceProgram *DeviceQueue::findProgram(Sequence &&sequence, bool &same) {
         program.sequence = std::move(sequence);
       return &program;
     }
-  // A limit, since sequences that are never repeated get programs, too.
+  // The number of programs is limited, since sequences that are never repeated
+  // get programs, too.
   constexpr size_t mostPrograms = 64;
   if (known.size() >= mostPrograms)
     known.clear();
-  // If memory runs out, no program is made and `sequence` keeps its steps.
+  // If memory runs out in this statement, no program is made and `sequence`
+  // keeps its steps.
   auto added = known.emplace(sequence.hash, nullptr);
   try {
     added->second =
@@ -300,7 +302,7 @@ Status DeviceQueue::flush(bool isWhole) {
   }
   if (runDepth)
     return status;
-  // Free memory that handlers have released meanwhile.
+  // Memory that signal handlers have released meanwhile is freed.
   if (collected->empty() && prefix->empty()) {
     Blocks gone;
     gone.swap(released);
@@ -313,8 +315,8 @@ Status DeviceQueue::flush(bool isWhole) {
 
 Status DeviceQueue::runCollected(bool isWhole) {
   isKeeping = false;
-  // Empty the collected sequence and its prefix first, since running their
-  // steps may queue more work.
+  // The collected sequence and its prefix are emptied first, since running
+  // their steps may queue more work.
   Sequence sequence = std::move(*collected), before = std::move(*prefix);
   *collected = Sequence();
   *prefix = Sequence();
@@ -328,7 +330,7 @@ Status DeviceQueue::runCollected(bool isWhole) {
   } unused{*device, {}};
   unused.memory.swap(released);
   Status status;
-  // The fewest steps for which a graph pays.
+  // The fewest steps for which a graph is worth its cost.
   constexpr size_t fewest = 4;
   RecordedLaunches::Outcome outcome;
   if (!isWhole || sequence.steps.size() < fewest ||

@@ -32,14 +32,16 @@ void DeviceQueue::beginCollecting(bool replay) {
   collection.hasProgram = false;
   failure = Status::success();
   collection.isReplay = replay;
-  // The sweep of another tape interrupts a recording that is not collected.
+  // The reverse sweep of another tape interrupts a recording that is not
+  // collected.
   if (isRecording() && !isGathering())
     (void)recorded->interrupt(/*isEnd=*/true);
   if (isGathering()) {
     bool isWhole = recorded->interrupt(/*isEnd=*/true);
     if (recording == Recording::AwaitsSweep)
       recording = Recording::None;
-    // The collected recording and its sweep become one sequence.
+    // The collected launches of the recording and its reverse sweep become one
+    // sequence.
     if (isWhole) {
       collection.isReplay = true;
       return;
@@ -50,7 +52,8 @@ void DeviceQueue::beginCollecting(bool replay) {
     prefixes->begin();
   } else {
     (void)noteOther();
-    // Queue the deferred launches, but keep fills for the new sequence.
+    // The deferred launches are queued, but deferred fills are kept for the new
+    // sequence.
     if (Status status = runPrefix(); !status)
       failure = std::move(status);
   }
@@ -62,7 +65,7 @@ Status DeviceQueue::endCollecting() {
     return Status::success();
   Status status = checkHandler();
   if (!status) {
-    // A handler must not run the work that it has interrupted.
+    // A signal handler must not run the work that it has interrupted.
     *collected = Sequence();
     return status;
   }
@@ -99,7 +102,8 @@ Status DeviceQueue::beginRecording() {
   if (recording == Recording::AwaitsSweep)
     status = flush();
   recorded->begin();
-  // Launches between recordings become part of the second one.
+  // Launches between two recordings become part of the sequence of the second
+  // one.
   if (watches && recorded->areAnyKnown())
     prefixes->begin();
   else if (watches)
@@ -132,8 +136,8 @@ Status DeviceQueue::endRecording(bool isSwept) {
 Status DeviceQueue::launchRecorded(Function &function, const LaunchShape &shape,
                                    const uint64_t *slots, int count) {
   Status status;
-  // Do not collect a launch that comes in place of the expected sweep, or while
-  // other libraries share raw memory.
+  // A launch is not collected if it comes in place of the expected sweep, or
+  // while other libraries share raw memory.
   if (recording == Recording::AwaitsSweep ||
       numShared.load(std::memory_order_relaxed) > 0) {
     status = flush();
@@ -187,8 +191,8 @@ bool DeviceQueue::expectsLaunches() const {
 
 bool DeviceQueue::keep(Function &function, const LaunchShape &shape,
                        const uint64_t *slots, int count) {
-  // Do not defer launches while other libraries use raw addresses: they would
-  // not ask for the launches.
+  // Launches are not deferred while other libraries use raw addresses, since
+  // these libraries would not ask for the launches to be queued.
   if (numShared.load(std::memory_order_relaxed) > 0)
     prefixes->interrupt();
   else if (prefixes->expects(&function, shape, count)) {
@@ -214,7 +218,7 @@ Status DeviceQueue::runPrefix() {
 
 template <typename Allocate>
 Status DeviceQueue::allocateBlock(const Allocate &allocate, DevicePtr &memory) {
-  // Allocate on the host first: if that fails, no device memory leaks.
+  // Host memory is allocated first: if that fails, no device memory leaks.
   Blocks made;
   Blocks::node_type block = made.extract(made.emplace(0, 0).first);
   Status status = allocate();
@@ -232,7 +236,8 @@ Status DeviceQueue::allocate(int64_t bytes, DevicePtr &memory) {
         if (status || released.empty() || collecting > 0 ||
             status.code() != StatusCode::Memory)
           return status;
-        // Flushing frees memory that was released while work could use it.
+        // Running the collected work frees memory that was released while that
+        // work could use it.
         status = flush();
         return status ? device->allocate(bytes, memory) : std::move(status);
       },
@@ -253,7 +258,8 @@ void DeviceQueue::forget(Module &module) {
     return;
   }
   (void)settle();
-  // Programs refer to functions by addresses that later functions can get.
+  // Programs refer to functions by addresses that later functions can get, so
+  // programs with functions of a destroyed module are dropped.
   for (auto program = known.begin(); program != known.end();)
     program = program->second->uses(module) ? known.erase(program)
                                             : std::next(program);

@@ -89,8 +89,8 @@ bool RecordedLaunches::expects(const Item &item) {
       collects = longer != nullptr;
     }
   }
-  // Keep one item more than the maximum, which marks the run of launches as too
-  // long.
+  // One item more than the maximum is kept, which marks the run of launches as
+  // too long.
   if (run.size() <= mostLaunches)
     run.push_back(item);
   return collects;
@@ -116,7 +116,7 @@ bool RecordedLaunches::interrupt(bool isEnd) {
 }
 
 void RecordedLaunches::learn(bool isEnd) {
-  // Fewer launches, without a sweep, are not worth a graph.
+  // Fewer launches than this, without a reverse sweep, are not worth a graph.
   constexpr size_t fewest = 4;
   if (run.size() > mostLaunches || (run.size() < fewest && !isEnd))
     return;
@@ -135,7 +135,8 @@ void RecordedLaunches::learn(bool isEnd) {
   entry.seen = std::min(entry.seen + 1, entry.wanted);
 }
 
-/// Notes that a recording was expected in vain: the collected launches are
+/// Notes that a sequence of launches was collected because it began like a
+/// known recording, but did not continue like it: the collected launches are
 /// queued one by one.
 void RecordedLaunches::lose(Known &entry) {
   constexpr int mostLost = 2, mostWanted = 64;
@@ -151,8 +152,8 @@ void RecordedLaunches::lose(Known &entry) {
 //===----------------------------------------------------------------------===//
 
 void RecordedLaunches::noteLaunch(int64_t ns) {
-  // Take the minimum of the measured times, since a launch waits for the device
-  // if the queue is full.
+  // The minimum of the measured times counts, since a launch waits for the
+  // device if the queue is full.
   launchNs = launchNs < 0 ? ns : std::min(launchNs, ns);
 }
 
@@ -164,8 +165,9 @@ void RecordedLaunches::judge(const Outcome &outcome) {
   constexpr int patience = 3;
   entry.unprepared = outcome.isPrepared ? 0 : entry.unprepared + 1;
   if (entry.unprepared >= patience) {
-    // The sequence has had no program several times in a row, for example
-    // because copies and fills of the recording differ each time.
+    // The entry is the recorded sequence of launches. It has had no program
+    // several times in a row, for example because copies and fills of the
+    // recording differ each time, so its launches are not collected any more.
     entry.unprepared = 0;
     entry.lost = 1;
     lose(entry);

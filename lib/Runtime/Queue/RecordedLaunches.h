@@ -27,12 +27,12 @@ class RecordedLaunches {
 public:
   using Item = SentLaunch;
 
-  /// The result of running a collected sequence.
+  /// The result of running a collected sequence of launches.
   struct Outcome {
-    /// Whether ways to run the sequence have been set up.
+    /// True if ways to run the sequence have been set up.
     bool isPrepared = false;
-    /// Device time in milliseconds in the chosen way, and as a graph; negative
-    /// if not known.
+    /// The device time of the sequence in milliseconds, in the chosen way, and
+    /// as a graph; negative if not known.
     double chosenMs = -1, graphMs = -1;
     /// The number of steps of the sequence, including steps after the
     /// recording.
@@ -45,31 +45,32 @@ public:
   /// recordings, and 0 none.
   RecordedLaunches();
 
-  /// A tape starts to record.
+  /// Notes that a tape starts to record.
   void begin();
   /// The recording has ended.
   void end();
-  /// Notes a launch. Returns whether to collect it, with all launches since the
-  /// last interruption.
+  /// Notes a launch. Returns true if it should be collected, with all launches
+  /// since the last interruption.
   bool expects(const Item &item);
-  /// Notes an operation that cannot be deferred. Returns whether the collected
-  /// launches are a complete known sequence: then call judge() with the
-  /// outcome. `isEnd`: the operation is a sweep, which runs together with
+  /// Notes an operation that cannot be deferred. Returns true if the collected
+  /// launches are a complete known sequence: the caller then calls judge() with
+  /// the outcome. `isEnd`: the operation is a sweep, which runs together with
   /// whatever has been collected.
   bool interrupt(bool isEnd = false);
-  /// Whether interrupt() would return true, as the collected launches are a
-  /// complete known sequence.
+  /// True if interrupt() would return true, because the collected launches are
+  /// a complete known sequence.
   bool isWhole() const { return collects && findWhole(); }
 
   bool isCollecting() const { return collects; }
-  /// Whether any sequence is likely to be collected.
+  /// True if any sequence is likely to be collected.
   bool areAnyKnown() const;
 
-  /// Whether a collected sequence has been queued whose outcome judge() gets.
+  /// True if a collected sequence has been queued whose outcome judge() gets.
   bool hasRun() const { return running != nullptr; }
   void judge(const Outcome &outcome);
 
-  /// Forgets sequences with destroyed functions, whose addresses may be reused.
+  /// Forgets sequences of launches with destroyed functions, whose addresses
+  /// may be reused.
   template <typename HasGone> void forget(const HasGone &hasGone) {
     auto uses = [&](const auto &entry) {
       return std::any_of(
@@ -94,22 +95,22 @@ public:
   }
   static int64_t now();
 
-  /// A description in several lines, or empty.
+  /// Describes the known recordings in several lines, or returns an empty text.
   std::string explain() const;
 
 private:
   struct Known {
     std::vector<Item> items;
-    /// How often the items occurred, how often they must occur to be collected,
-    /// and how often in a row collecting them was in vain.
+    /// How often the sequence has occurred, how often it must occur to be
+    /// collected, and how many successive attempts to collect it have failed.
     int seen = 0, wanted = 2, lost = 0;
-    /// How often in a row the sequence had no program, and how often in a row
-    /// it was slower than single launches.
+    /// The number of successive times that the sequence had no program, and
+    /// that it was slower than single launches.
     int unprepared = 0, slow = 0;
-    /// Host times of the last run in nanoseconds, to collect the launches and
-    /// to queue the sequence; -1 if not known.
+    /// Host times of the sequence's last run in nanoseconds, to collect the
+    /// launches and to queue the sequence; -1 if not known.
     int64_t collectNs = 0, hostNs = -1;
-    /// Why the items are no longer collected; empty if they are.
+    /// The reason why the sequence is no longer collected; empty if it is.
     std::string refused;
     bool isLikely() const { return seen >= wanted && refused.empty(); }
   };
@@ -121,7 +122,7 @@ private:
 
   enum class Wish { Judge, Always, Never };
   Wish wish = Wish::Judge;
-  /// The most recently used recording is last.
+  /// The known recordings, the most recently used one last.
   std::vector<std::unique_ptr<Known>> known;
   /// The launches since the last interruption, and the sequence expected.
   std::vector<Item> run;

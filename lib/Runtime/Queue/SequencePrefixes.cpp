@@ -19,7 +19,8 @@ static int64_t now() {
 }
 
 SequencePrefixes::SequencePrefixes() {
-  // An idle device loses at most this time by deferred launches.
+  // Launches are deferred so briefly that an idle device loses at most this
+  // time.
   constexpr int64_t usualUs = 100;
   const char *given = std::getenv("TAI_KEEP_LAUNCHES_US");
   longestNs = 1000 * (given && *given ? std::atoll(given) : usualUs);
@@ -49,8 +50,8 @@ bool SequencePrefixes::expects(const DeviceFunction *function,
   return expected != nullptr;
 }
 
-/// Notes that launches were deferred in vain: they are queued without a
-/// sequence.
+/// Notes that no known sequence has followed the deferred launches, which are
+/// now queued alone.
 void SequencePrefixes::lose() {
   constexpr int mostLost = 2, mostWanted = 64;
   if (expected && !run.empty()) {

@@ -29,8 +29,8 @@ public:
   /// microseconds, launches may be deferred.
   SequencePrefixes();
 
-  /// Notes a launch outside of sequences. Returns whether it probably starts or
-  /// continues a known prefix.
+  /// Notes a launch outside of sequences. Returns true if the launch probably
+  /// starts or continues a known prefix.
   bool expects(const DeviceFunction *function, const LaunchShape &shape,
                int count);
   /// Notes work other than launches, which interrupts a prefix.
@@ -38,24 +38,25 @@ public:
   /// Notes that a sequence begins, which runs together with the deferred
   /// launches.
   void begin();
-  /// Notes that a sequence has ended. `isWorthIt`: observe the launches that
-  /// follow.
+  /// Notes that a sequence has ended. With `isWorthIt`, observes the launches
+  /// that follow.
   void end(bool isWorthIt);
 
-  /// Whether launches are being observed.
+  /// True if launches outside of sequences are being observed.
   bool isOpen() const { return open; }
-  /// Whether any prefix is known.
+  /// True if any prefix (launches before a sequence) is known.
   bool areAnyKnown() const { return numKnown > 0; }
-  /// A description in one line, or empty.
+  /// Describes the known prefixes in one line, or returns an empty text.
   std::string explain() const;
 
 private:
   using Item = SentLaunch;
-  /// A prefix, found by its first launch.
+  /// A prefix of a sequence, which is found by its first launch.
   struct Prefix {
     std::vector<Item> items;
-    /// How often in a row the items occurred, how often they must occur to be
-    /// deferred, and how often in a row deferring them was in vain.
+    /// How often in a row the launches of the prefix occurred, how often they
+    /// must occur to be deferred, and how often in a row deferring them was in
+    /// vain.
     int seen = 0, wanted = 2, lost = 0;
     bool isKnown() const { return seen >= wanted; }
   };
@@ -66,10 +67,10 @@ private:
   std::unordered_map<const DeviceFunction *, Prefix> prefixes;
   size_t numKnown = 0;
   bool open = false;
-  /// Launches since the last sequence.
+  /// The number of launches since the last sequence.
   size_t between = 0;
   /// The launches since the last interruption, the time of the first one, and
-  /// the prefix expected, or null.
+  /// the prefix that they are expected to become, or null.
   std::vector<Item> run;
   int64_t start = 0;
   Prefix *expected = nullptr;

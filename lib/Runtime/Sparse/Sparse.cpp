@@ -223,9 +223,10 @@ int64_t SparseNode::append(int64_t list) {
   return known;
 }
 
-/// Zeroes memory, and gives whole pages back.
+/// Zeroes memory of deactivated cells, and gives whole pages of it back to the
+/// system.
 static void release(char *begin, int64_t bytes) {
-  // A level without cells has no memory.
+  // A level without cells of its own has no memory.
   if (bytes == 0)
     return;
   static const int64_t page = sysconf(_SC_PAGESIZE);
@@ -314,7 +315,8 @@ void SparseNode::deactivateAll() {
   prepare(/*removes=*/true);
   std::vector<int64_t> found;
   collectInto(found, 0, numMarks);
-  // Release neighbouring cells together: pages are larger than most cells.
+  // Neighbouring cells are released together, because pages are larger than
+  // most cells.
   char *begin = nullptr, *end = nullptr;
   for (int64_t cell : found) {
     if (!layout.isList) {
@@ -363,7 +365,8 @@ void SparseNode::collectInto(std::vector<int64_t> &found, int64_t begin,
 #ifdef MADV_COLLAPSE
 constexpr int kCollapse = MADV_COLLAPSE;
 #else
-/// Available from Linux 6.1 on; older kernels refuse, and pages stay small.
+/// Large pages are requested by a call of Linux 6.1 or later; older kernels
+/// refuse it, and pages stay small.
 constexpr int kCollapse = 25;
 #endif
 
@@ -372,7 +375,8 @@ constexpr int kCollapse = 25;
 /// active nearly everywhere get them.
 void SparseNode::useLargePages(const ActiveList &list) {
   constexpr int64_t kPage = int64_t(2) << 20;
-  // A region gets a large page only if so many of its bytes are active.
+  // A region of memory gets a large page only if so many of its bytes are
+  // active.
   constexpr int64_t kEnough = kPage / 8 * 7;
   if (static_cast<int64_t>(list.cells.size()) * cellBytes() < kEnough)
     return;
@@ -408,7 +412,8 @@ ActiveListPtr SparseNode::list() {
   }
   auto list = std::make_shared<ActiveList>();
   list->epoch = now;
-  // The number of cells from which a fork of several threads pays.
+  // The number of cells from which on a fork of several threads is worth its
+  // cost.
   constexpr int64_t kManyCells = 1 << 15;
   int64_t count = active.load(std::memory_order_relaxed);
   int64_t parts = count < kManyCells

@@ -179,6 +179,6 @@ int64_t mlir::tai::runtime::findEvenStep(const FieldLayout &layout,
       return 0;
     expected *= shape[d];
   }
-  // The stride of a single element is defined as its size.
+  // The stride of a single element is defined as the size of the element.
   return first == 0 ? elementBytes : first;
 }

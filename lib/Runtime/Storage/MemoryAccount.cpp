@@ -13,7 +13,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// The memory of the machine, or of the control group of this process.
+/// The bytes of memory of the machine, or of the control group of this process.
 static int64_t availableMemory() {
   int64_t limit = static_cast<int64_t>(sysconf(_SC_PHYS_PAGES)) *
                   static_cast<int64_t>(sysconf(_SC_PAGESIZE));

@@ -62,8 +62,8 @@ static uint16_t encode(double value, int exponentBits, int mantissaBits) {
   int exponent;
   std::frexp(magnitude, &exponent);
   exponent = std::max(exponent - 1, 1 - bias);
-  // The quotient of magnitude and last place is exact, so the value is rounded
-  // once.
+  // The quotient of the magnitude and the value of the last place is exact, so
+  // the number is rounded once.
   double units = std::nearbyint(std::ldexp(magnitude, mantissaBits - exponent));
   if (exponent > bias)
     return static_cast<uint16_t>(sign | infinity);

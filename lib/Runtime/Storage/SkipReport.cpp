@@ -49,7 +49,7 @@ int64_t mlir::tai::runtime::bytesInUse(const Field &field) {
   return elements * field.numComponents() * byteSize(field.scalar());
 }
 
-/// The bytes from the first to the last of a field.
+/// The addresses of the first byte of a field and after its last byte.
 static std::pair<const char *, const char *> getSpan(const Field &field) {
   const FieldLayout &layout = field.layout();
   int64_t first = layout.placeOffset;
@@ -68,7 +68,7 @@ void TreeStore::countMemory(SkipAmounts &amounts) const {
   };
   for (const auto &[name, tree] : treesByName) {
     at(SkipCount::BytesReserved) += tree->bytes();
-    // Larger trees have too many pages to ask about each.
+    // Trees above this size have too many pages to ask about each one.
     constexpr int64_t largest = int64_t(64) << 30;
     at(SkipCount::BytesUsed) +=
         tree->bytes() <= largest
@@ -88,7 +88,8 @@ void TreeStore::countMemory(SkipAmounts &amounts) const {
                                             byteSize(field->scalar());
     at(SkipCount::GradientBytesUsed) += bytesInUse(*field);
   }
-  // Gradients in the same record are interleaved: merge spans that overlap.
+  // Gradients whose cells are shared are interleaved, so spans of memory that
+  // overlap are merged.
   std::sort(spans.begin(), spans.end());
   for (size_t i = 0; i < spans.size();) {
     auto [begin, end] = spans[i];

@@ -19,15 +19,16 @@ using namespace mlir::tai::runtime;
 // Trees
 //===----------------------------------------------------------------------===//
 
-/// Writes to each page, which makes the system provide it.
+/// Writes to each page of a range of memory, which makes the system provide the
+/// pages.
 static void commitPages(char *begin, int64_t bytes) {
   int64_t page = sysconf(_SC_PAGESIZE);
   for (int64_t at = 0; at < bytes; at += page)
     *static_cast<volatile char *>(begin + at) = 0;
 }
 
-/// Trees of sparse levels may reserve this much; the system gives out less
-/// than 47 bits of addresses.
+/// The most bytes of address space that trees with sparse levels may reserve;
+/// the system gives out less than 47 bits of addresses.
 static constexpr int64_t largestReservation = int64_t(1) << 45;
 
 Status TreeStore::addTree(std::string name, int64_t bytes, TreePtr &tree,
@@ -49,8 +50,8 @@ Status TreeStore::addTree(std::string name, int64_t bytes, TreePtr &tree,
                                " with all cells active, and " +
                                formatBytes(largestReservation) +
                                " is the most that can be addressed");
-  // Only dense trees are checked: the memory that a sparse tree needs is not
-  // known until cells become active.
+  // Only dense trees are checked against the memory limit: the memory that a
+  // sparse tree needs is not known until cells become active.
   int64_t needed = sparse.empty() ? bytes : 0;
   if (needed > memory.left())
     return Status::failure(
@@ -122,7 +123,7 @@ TreeStore::~TreeStore() {
 
 void TreeStore::setClosing(Tree &tree, bool isClosing) {
   tree.isClosing.store(isClosing, std::memory_order_release);
-  // Notes a change of storage, so that kernels check their trees again.
+  // A change of storage is noted, so that kernels check their trees again.
   if (isClosing)
     state.storageChanged();
 }
@@ -138,8 +139,8 @@ Status TreeStore::destroyTree(const std::string &name) {
     auto isGone = [&](const FieldPtr &field) {
       if (&field->tree() != tree)
         return false;
-      // If the adjoint of the field lies in another tree, it has no primal any
-      // more.
+      // If the adjoint of the field lies in another tree, the adjoint has no
+      // primal field any more.
       if (field->adjointField)
         field->adjointField->ofPrimal = false;
       forgetPartnerNames(*field);

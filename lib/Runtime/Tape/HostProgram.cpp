@@ -26,11 +26,12 @@ using namespace mlir::tai::runtime;
 
 struct mlir::tai::runtime::HostState {
   HostModule *module;
-  /// The trees that the host program itself can access, besides its kernels.
+  /// The trees that the host program itself can access, besides the trees of
+  /// its kernels.
   const std::vector<TreePtr> *trees;
   std::unique_ptr<Tape> tape;
-  /// Kernels by the address of their name, a string literal of the compiled
-  /// module.
+  /// The kernels that the host program launches, by the address of their name,
+  /// a string literal of the compiled module.
   std::unordered_map<const char *, Kernel *> kernels;
 };
 
@@ -98,8 +99,8 @@ static int32_t reportUsage(Launch &launch, std::string message,
                                         where ? where : ""));
 }
 
-/// Before control returns to the host program, makes its trees current on the
-/// host, as the program accesses them directly. Then reports `status`.
+/// Returns control to the host program with `status`. The program accesses its
+/// trees directly, so they are made current on the host before.
 static int32_t returnTo(Launch &launch, Status status) {
   launch.owner().settleZeros(fieldsIn(*launch.host->trees));
   if (launch.owner().getDevice() && launch.host->module->usesTrees)
@@ -150,7 +151,7 @@ extern "C" int32_t tai_rt_host_tape_checkpoint(TaiFrame *frame, int32_t kind,
   Launch &launch = launchOf(frame);
   if (!launch.host)
     return reportUsage(launch, "a tape belongs to the host");
-  // tai_rt_host_tape_begin has reported why there is no tape.
+  // If there is no tape, tai_rt_host_tape_begin has reported the reason.
   if (!launch.host->tape)
     return 1;
   CheckpointPolicy policy;
@@ -176,7 +177,8 @@ extern "C" int32_t tai_rt_host_tape_end(TaiFrame *frame) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The contents of all trees, and the state that random numbers depend on.
+/// A copy of the contents of all trees, and of the state that random numbers
+/// depend on.
 struct Snapshot {
   std::vector<std::pair<const Tree *, std::string>> trees;
   uint64_t launches = 0;
@@ -220,7 +222,8 @@ public:
       : launch(launch), runtime(launch.owner()), loss(std::move(loss)),
         region(region), closure(closure) {}
 
-  /// Runs the region under a tape. Returns zero if all went well.
+  /// Runs the region of the host program under a tape. Returns zero if all went
+  /// well.
   int32_t run(const char *where) {
     for (const auto &entry : runtime.store().trees())
       if (!entry.second->sparseNodes().empty())
@@ -279,7 +282,8 @@ public:
       Estimate best;
       if (!estimate(field, values, direction, product, best))
         return 1;
-      // If the error is NaN, this comparison is false and the check fails.
+      // If the error is NaN, this comparison is false, and so the gradient
+      // check fails.
       if (best.error <= tolerance)
         continue;
       restoreAfter();
@@ -368,7 +372,8 @@ private:
     (void)field.readable();
     std::vector<size_t> written;
     for (size_t i = 0; i < values.size(); ++i) {
-      // The element as `evaluate` has stored it, rounded to the field's type.
+      // The value of the element as `evaluate` has stored it, rounded to the
+      // field's type.
       double now = loadF64(field.scalar(), values[i]);
       storeF64(field.scalar(), values[i], start[i] + step * direction[i]);
       if (!(now == loadF64(field.scalar(), values[i])))
@@ -378,8 +383,9 @@ private:
       return true;
     if (!evaluate(field, values, none, 0, reference))
       return false;
-    // Change groups of elements at once, and bisect groups that affect the
-    // loss. Elements on which the budget allows no decision are checked.
+    // Groups of elements are changed at once, and groups that affect the loss
+    // are bisected. Elements on which the budget allows no decision are
+    // checked.
     unsigned budget = 48;
     std::vector<std::pair<size_t, size_t>> groups = {{0, written.size()}};
     for (size_t g = 0; g < groups.size(); ++g) {
@@ -387,7 +393,8 @@ private:
       std::vector<double> part(values.size());
       for (size_t k = begin; k < end; ++k)
         part[written[k]] = direction[written[k]];
-      // A decision on a group takes up to two evaluations, one for each sign.
+      // To decide on a group of elements takes up to two evaluations, one for
+      // each sign.
       if (budget < 2)
         break;
       bool matters = false;
@@ -414,9 +421,9 @@ private:
     return true;
   }
 
-  /// Central differences for a ladder of steps, each step a half of the one
-  /// before, and their Richardson extrapolations. Keeps the estimate that is
-  /// closest to the derivative by the adjoint.
+  /// Evaluates central differences for a ladder of steps, each step half of the
+  /// previous one, and their Richardson extrapolations. Keeps the estimate that
+  /// is closest to the derivative by the adjoint.
   bool estimate(Field &field, const std::vector<char *> &values,
                 const std::vector<double> &direction, double product,
                 Estimate &best) {

@@ -91,7 +91,8 @@ void Tape::plan(bool cleared) {
 }
 
 namespace {
-/// While an object lives, the launches on a device become one piece of work.
+/// While an object lives, the launches of this thread on a device are collected
+/// into one piece of work.
 class CollectedWork {
 public:
   explicit CollectedWork(Runtime &runtime, bool isReplay = false)
@@ -104,7 +105,7 @@ public:
   CollectedWork &operator=(const CollectedWork &) = delete;
 
   /// Queues the collected work. Returns `status` if it is a failure, else the
-  /// result of queueing.
+  /// result of queueing the work.
   Status finish(Status status) {
     if (!device)
       return status;
@@ -166,8 +167,8 @@ Status Tape::replayAll(bool forward, bool reverse) {
 
 Status Tape::replayForward() {
   Parts &tape = *parts;
-  // Give all launches new numbers, on which random numbers depend, at the same
-  // distances.
+  // All launches get new numbers, on which random numbers depend, at the same
+  // distances as before.
   tape.recording.renumber(
       tape.services.takeLaunches(tape.recording.numLaunches()));
   HeldLaunch launch(tape.services);
@@ -221,7 +222,8 @@ Status Tape::sweep() {
   try {
     status = runPlan();
   } catch (...) {
-    // Fields hold values of earlier records: restore them before the throw.
+    // Fields hold values of earlier records at this point, so they are restored
+    // before the exception goes on.
     isOutOfMemory = true;
   }
   if (!tape.rematerialiser.isOn())
@@ -241,7 +243,8 @@ Status Tape::sweep() {
   return status;
 }
 
-/// Zeroes the gradients that the sweep has added to on its way to wanted ones.
+/// Zeroes the gradients of fields that nobody asked for, to which the sweep has
+/// added as intermediate results.
 void Tape::forgetUnwanted() {
   const Parts &tape = *parts;
   if (tape.wanted.empty())
@@ -365,7 +368,7 @@ const std::string &Tape::explain() {
   if (planHolds(/*cleared=*/true) && tape.isDirect() &&
       tape.direct.findReverse(tape.plan, tape.forms))
     tape.report.addDirect(tape.plan.replayed().size(), "adjoints");
-  // Report the ways in which a device runs the sequences of launches.
+  // Reports the ways in which a device runs the sequences of launches.
   if (const DeviceQueue *queue = tape.services.owner().getDeviceQueue())
     tape.report.add(queue->explain());
   return tape.report.get();

@@ -32,14 +32,14 @@ struct Tape::Parts {
     reverse.liveFields = [this] { return seeds.liveFields(false, holds); };
   }
 
-  /// Identifies the tape among all tapes of the runtime.
+  /// A number that identifies the tape among all tapes of the runtime.
   uint64_t stamp;
   TapeServices services;
   bool isOpen = false;
-  /// Whether memory has run out during an operation: the tape can no longer be
+  /// True if memory has run out during an operation: the tape can no longer be
   /// used.
   bool isSpoilt = false;
-  /// Whether a replay has failed before its end.
+  /// True if a replay has failed before its end.
   bool isHalfRun = false;
   /// The nesting depth of suspend(), and the number of the next launch when the
   /// outermost suspend() was called.
@@ -52,7 +52,8 @@ struct Tape::Parts {
   TapeTopology topology;
   std::unique_ptr<AccessChecks> checks;
   SweepSeeds seeds;
-  /// The fields whose gradients are asked for; all if there are none.
+  /// The fields whose gradients are asked for; if there are none, all
+  /// gradients.
   std::vector<FieldPtr> wanted;
   ChangeWatch changes;
   TapePlan plan;
@@ -64,7 +65,7 @@ struct Tape::Parts {
   Rematerialiser rematerialiser;
   TapeReport report;
 
-  /// Whether a replay consists of launches only, without other steps.
+  /// True if a replay consists of launches only, without other steps.
   bool isDirect() const {
     return services.runsDirectly() && !rematerialiser.isOn() &&
            !health.isWatching() && recording.onlyLaunches() &&

@@ -12,7 +12,7 @@
 
 namespace mlir::tai::runtime {
 
-/// The text of `explain`, and the warnings about the last sweep.
+/// The text of the tape's `explain`, and the warnings about the last sweep.
 class TapeReport {
 public:
   std::vector<std::string> notes;
@@ -22,7 +22,8 @@ public:
   void addRecord(const TapeRecording &recording, const TapePlan &plan,
                  const AdjointForms &forms, size_t index, int64_t savedBytes,
                  uint32_t timesRecomputed);
-  /// Adds a line: a replay calls `count` functions directly.
+  /// Adds a line to the text that says how many functions a replay calls
+  /// directly.
   void addDirect(size_t count, const char *what);
   void add(const std::string &lines) { text += lines; }
   const std::string &get() const { return text; }

@@ -54,7 +54,7 @@ public:
     runtime.noteFailure(std::move(status));
   }
   uint64_t seed() const { return runtime.options().seed; }
-  /// Whether launches need no steps of the runtime around the call of the
+  /// True if launches need no steps of the runtime around the call of the
   /// kernel's code.
   bool runsDirectly() const { return runtime.runsDirectly(); }
 
@@ -81,7 +81,7 @@ public:
   void beginRecording(Tape &tape) const { runtime.recordings().begin(tape); }
   void endRecording(Tape &tape) const { runtime.recordings().end(tape); }
   bool anyRecording() const { return runtime.recordings().isAny(); }
-  /// Whether several tapes record at the same time.
+  /// True if several tapes record at the same time.
   bool recordsTogether() const { return runtime.recordings().areTogether(); }
   Status hold(const Tape &tape, Field &field, HoldKind kind) const {
     return runtime.recordings().hold(tape, field, kind);
@@ -99,7 +99,7 @@ public:
     return runtime.store().firstOf(tree);
   }
 
-  /// RAII scope of a call of a host function by a sweep.
+  /// The scope of a call of a host function by a reverse sweep.
   class HostFunction {
   public:
     HostFunction(const TapeServices &services, Tape &tape)
@@ -115,7 +115,7 @@ public:
 
   const std::vector<FieldPtr> &fields() const { return runtime.fields(); }
   uint64_t epoch() const { return runtime.storageEpoch(); }
-  /// Performs a write. Returns false if the host interrupted it.
+  /// Performs a write of the host. Returns false if the host interrupted it.
   bool perform(const HostWrite &write,
                FieldCopies::Interrupts interrupts =
                    FieldCopies::Interrupts::Wait) const {
@@ -129,8 +129,8 @@ public:
                 std::shared_ptr<const OwedZeros> zeros) const {
     runtime.oweZeros(adjoint, std::move(zeros));
   }
-  /// Calls body(kernel) for each kernel. Other threads may create kernels at
-  /// the same time.
+  /// Calls body(kernel) for each kernel of the runtime. Other threads may
+  /// create kernels at the same time.
   template <typename Body> void forEachKernel(const Body &body) const {
     runtime.launcher().kernels().forEach(body);
   }
@@ -142,7 +142,8 @@ public:
     runtime.recordings().setKnownPlan(std::move(plan));
   }
   /// isNewSequence: true at the first call for a sequence, which is then
-  /// checked for lost gradients. isNewCut: true at the first call for a cut.
+  /// checked for lost gradients. isNewCut: true at the first call for a place
+  /// where gradients are lost.
   bool isNewSequence(size_t hash) const {
     return runtime.recordings().sequencesSeen.insert(hash).second;
   }
@@ -154,7 +155,7 @@ private:
   Runtime &runtime;
 };
 
-/// The operations of fields that only the parts of a tape use.
+/// Gives the parts of a tape access to operations of fields that only they use.
 struct TapedField {
   static const TreePtr &tree(const Field &field) { return field.sharedTree(); }
   static const FieldPtr &adjoint(const Field &field) {
@@ -164,7 +165,7 @@ struct TapedField {
   static void setClean(Field &field) { field.markClean(); }
 };
 
-/// RAII owner of a launch object, for a sweep or a replay.
+/// Owns a launch object for a reverse sweep or a replay.
 class HeldLaunch {
 public:
   explicit HeldLaunch(const TapeServices &services)

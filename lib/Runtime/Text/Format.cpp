@@ -16,8 +16,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// The shortest text that reads back as the same number; of numbers that came
-/// from f32, the shortest that reads back as the same f32.
+/// Returns the shortest text that reads back as the same number; for numbers
+/// that came from f32, the shortest that reads back as the same f32.
 static void appendFloat(std::string &text, double value) {
   if (std::isnan(value)) {
     text += "nan";
@@ -70,8 +70,9 @@ static void appendValue(std::string &text, int32_t kind, uint64_t slot,
   text += "?";
 }
 
-/// The specification of a placeholder, "{}" or "{:...}", at `at`, and its
-/// number of characters: 0 if there is no placeholder at `at`.
+/// Parses a placeholder of a format, "{}" or "{:...}", at `at`: stores its
+/// specification, and returns its number of characters, or 0 if there is no
+/// placeholder at `at`.
 static size_t parsePlace(const char *at, std::optional<FormatSpec> &spec) {
   spec.reset();
   if (at[0] != '{')
@@ -114,7 +115,7 @@ std::string mlir::tai::runtime::formatValues(const char *format, int32_t count,
     at += std::max<size_t>(size, 1);
   }
   spec.reset();
-  // Values beyond the last placeholder are appended.
+  // Values beyond the last placeholder of the format are appended.
   while (next < count) {
     if (!text.empty())
       text += ' ';

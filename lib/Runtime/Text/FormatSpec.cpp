@@ -13,14 +13,16 @@
 
 using namespace mlir::tai::runtime;
 
-// The maximum width and precision: larger ones are of no use and take memory.
+// The maximum width and precision of a placeholder: larger ones are of no use
+// and take memory.
 static constexpr int kMost = 1000;
 
 static bool isOneOf(char c, std::string_view those) {
   return c && those.find(c) != std::string_view::npos;
 }
 
-/// Reads digits from the front; false for a number above kMost.
+/// Reads the digits of a number from the front of `text`; returns false if the
+/// number is too large for a format.
 static bool parseNumber(std::string_view &text, int &number) {
   number = 0;
   while (!text.empty() && text[0] >= '0' && text[0] <= '9') {
@@ -112,7 +114,7 @@ std::string FormatSpec::apply(uint64_t magnitude, bool negative) const {
   return pad(negative, prefix, digits);
 }
 
-/// "%e", "%f" or "%g" of a number.
+/// Prints a number with "%e", "%f" or "%g".
 static std::string print(char kind, bool alternate, int precision,
                          double value) {
   std::string pattern = alternate ? "%#.*" : "%.*";

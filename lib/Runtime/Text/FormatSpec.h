@@ -34,7 +34,8 @@ struct FormatSpec {
   char type = 0;      // One of "bdoxXeEfFgG%", or 0.
   bool isUnsigned = false;
 
-  /// Returns no value if the text is not a specification.
+  /// Parses the specification of a placeholder. Returns no value if the text is
+  /// not one.
   static std::optional<FormatSpec> parse(std::string_view text);
 
   std::string apply(uint64_t magnitude, bool negative) const;

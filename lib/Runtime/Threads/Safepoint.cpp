@@ -29,7 +29,8 @@ public:
     return *clock;
   }
 
-  /// Called by each thread that has seen a new tick.
+  /// Notes that some thread checks the clock of safepoints, and starts the
+  /// clock if it has stopped. Called by each thread that has seen a new tick.
   void noteLook() {
     if (isLooked.exchange(true, std::memory_order_relaxed) &&
         isCounting.load(std::memory_order_acquire))
@@ -42,7 +43,8 @@ public:
       isCounting.store(false, std::memory_order_relaxed);
   }
 
-  /// Returns when the clock's thread has ended; no new one will be started.
+  /// Stops the clock. Returns when the clock's thread has ended; no new one
+  /// will be started.
   void stop() {
     {
       std::lock_guard<std::mutex> lock(mutex);
@@ -91,7 +93,8 @@ private:
 thread_local bool runsPartsOfOthers = false;
 thread_local const std::atomic<bool> *followed = nullptr;
 thread_local unsigned handlersHere = 0;
-/// The number of `Unstoppable` objects, and whether one was asked to stop.
+/// The number of `Unstoppable` objects on this thread, and a flag that tells
+/// whether one was asked to stop.
 thread_local unsigned unstoppable = 0;
 thread_local bool wasAskedToStop = false;
 } // namespace
@@ -110,7 +113,8 @@ bool safepoint::look() {
     return true;
   ++handlersHere;
   runningHandlers.fetch_add(1, std::memory_order_relaxed);
-  // `Unstoppable` objects outside of the handler do not protect its own work.
+  // `Unstoppable` objects of the interrupted work do not protect the work of
+  // the handler itself.
   unsigned outer = std::exchange(unstoppable, 0);
   bool wasAsked = wasAskedToStop;
   bool goesOn = handler() != 0;

@@ -39,11 +39,13 @@ inline bool isEmpty(uint64_t range) {
   return (range & 0xffffffffu) >= (range >> 32);
 }
 
-/// Spins until `done()`; false if `yieldUntil` has passed before.
+/// Spins until `done()` is true; false if the time `yieldUntil` has passed
+/// before.
 template <typename Done> bool spinUntil(const Done &done) {
   Clock::time_point start;
   for (unsigned round = 0;; ++round) {
-    // Reading the clock costs as much as a pause: look now and then.
+    // Reading the clock costs as much as a pause, so the clock is read only now
+    // and then.
     for (int i = 0; i < 32; ++i) {
       if (done())
         return true;
@@ -85,7 +87,8 @@ ForkGuard::~ForkGuard() {
 }
 
 bool ForkGuard::sameProcess() const {
-  // Without the page, on an old kernel, each fork-join calls getpid().
+  // Without the page, as on an old kernel, each fork-join calls getpid() to
+  // find out whether the process has forked.
   return page ? *page == 1 : owner == getpid();
 }
 
@@ -110,7 +113,7 @@ WorkerPool::WorkerPool(int threads)
     : numThreads(std::max(1, threads)),
       shares(new Share[static_cast<size_t>(std::max(1, threads))]) {
   workers.reserve(static_cast<size_t>(numThreads - 1));
-  // Workers block all signals, which the threads of the program handle.
+  // Worker threads block all signals, which the threads of the program handle.
   sigset_t all, old;
   sigfillset(&all);
   pthread_sigmask(SIG_SETMASK, &all, &old);
@@ -168,7 +171,8 @@ bool WorkerPool::awaitJob(uint32_t &seen) {
       slept = true;
     }
     sleepers.fetch_sub(1);
-    // Each woken thread wakes two more, so that the caller wakes only one.
+    // Each woken worker thread wakes two more, so that the caller wakes only
+    // one.
     if (slept) {
       sleepCondition.notify_one();
       sleepCondition.notify_one();

@@ -57,7 +57,8 @@ WorkerPool &Workers::get() {
 }
 
 namespace {
-/// A task whose exceptions do not leave the thread on which they are thrown.
+/// A task for worker threads whose exceptions do not leave the thread on which
+/// they are thrown.
 struct SafeTask {
   void (*task)(void *context, int64_t part);
   void *context;
@@ -124,8 +125,8 @@ int64_t Workers::partition(int64_t n, double cost, bool reduces) {
   constexpr int64_t leastPartNs = 2000;
   int64_t parts = std::min<int64_t>(numThreads, total / leastPartNs);
   if (!reduces) {
-    // Smaller parts even out the load of other processes, and let a long loop
-    // be interrupted.
+    // A loop is divided into smaller parts than needed, so that threads slowed
+    // by other processes get fewer of them, and a long loop can be interrupted.
     constexpr int64_t goodPartNs = 25000, longestPartNs = 10000000;
     parts =
         std::max({parts, std::min<int64_t>(4 * numThreads, total / goodPartNs),

@@ -44,7 +44,7 @@ SmallVector<FieldOp> mlir::tai::getShadowedFields(ModuleOp module) {
 }
 
 namespace {
-/// The accesses of one kernel.
+/// Adds to one kernel the code that logs violations of the data access rules.
 class Instrumentation {
 public:
   explicit Instrumentation(KernelOp kernel)
@@ -96,14 +96,14 @@ private:
   SmallVector<Attribute> described;
   llvm::MapVector<Operation *, int64_t> loops;
   Shadow *current = nullptr;
-  /// The number of the access that is being instrumented; unique over all
-  /// launches.
+  /// The number of the access that is being instrumented, which is unique over
+  /// all launches.
   Value id;
   int64_t ordinal = 0;
 };
 } // namespace
 
-/// Emits the row-major number of the component in the whole field, and in
+/// Emits the row-major number of a component in the whole field, and in
 /// `isInside` whether the component exists.
 Value Instrumentation::createComponent(const Shadow &shadow, ValueRange indices,
                                        ValueRange components, Value &isInside) {
@@ -111,7 +111,8 @@ Value Instrumentation::createComponent(const Shadow &shadow, ValueRange indices,
   isInside = arith::ConstantIntOp::create(b, 1, 1);
   auto add = [&](Value position, int64_t first, int64_t extent) {
     position = b.createOrFold<arith::SubIOp>(position, index(first));
-    // Components out of range are reported by the checks of indices.
+    // Components out of range are left out, since the checks of indices report
+    // them.
     Value fits = arith::CmpIOp::create(b, arith::CmpIPredicate::ult, position,
                                        index(extent));
     isInside = b.createOrFold<arith::AndIOp>(isInside, fits);
@@ -132,8 +133,8 @@ Value Instrumentation::createComponent(const Shadow &shadow, ValueRange indices,
   return number;
 }
 
-/// The parallel loop around the access, as a number that no other loop of any
-/// launch has, and the number of the running iteration.
+/// Emits the number of the parallel loop around the access, which no other loop
+/// of any launch has, and the number of the running iteration.
 std::pair<Value, Value> Instrumentation::getIteration(Operation *access) {
   Operation *loop = getEnclosingParallelLoop(access);
   int64_t number = loops.insert({loop, loops.size() + 1}).first->second;
@@ -150,7 +151,7 @@ std::pair<Value, Value> Instrumentation::getIteration(Operation *access) {
   return {stamp, iteration};
 }
 
-/// Logs a violation where `condition` holds.
+/// Emits code that logs a violation where `condition` holds.
 void Instrumentation::createReport(Value condition, Value before,
                                    Value component, ViolationKind kind) {
   auto branch = scf::IfOp::create(b, condition, /*withElseRegion=*/false);
@@ -177,7 +178,7 @@ void Instrumentation::createReport(Value condition, Value before,
                             ValueRange{arith::AddIOp::create(b, at, index(i))});
 }
 
-/// Checks an access to one component.
+/// Emits the checks for an access to one component.
 void Instrumentation::check(Operation *access, FieldUse use, bool isClearing,
                             Value component) {
   Value none = integer(0);
@@ -209,7 +210,8 @@ void Instrumentation::check(Operation *access, FieldUse use, bool isClearing,
     createReport(arith::AndIOp::create(b, wasOnlyWritten, alone), writer,
                  component, ViolationKind::WrittenTwice);
   }
-  // After a report, the checks of the element start anew.
+  // After a violation is logged, the shadow of the element is reset, so that
+  // its checks start anew.
   write(none, component, ShadowWord::Reader);
   write(isClearing ? none : id, component, ShadowWord::Writer);
   write(isClearing ? none : stamp, component, ShadowWord::Loop);
@@ -241,8 +243,8 @@ LogicalResult Instrumentation::instrument(Operation *access) {
   }
   b.setLoc(access->getLoc());
   b.setInsertionPoint(access);
-  // Iterations that do not own the element store to it as well in the original
-  // program: check them, too.
+  // In the original program, iterations that do not own the element store to it
+  // as well, so they are checked, too.
   if (scf::IfOp branch =
           getOwnersBranch(access, getEnclosingParallelLoop(access))) {
     auto isKnown = [&](Value value) {

@@ -16,8 +16,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Limits of the truth table: each condition doubles the number of its rows,
-/// and the values of all ops are computed in each row.
+/// The most conditions in the truth table of an update: each doubles the number
+/// of rows, and the values of all ops are computed in each row.
 static constexpr unsigned kMostAtoms = 12;
 static constexpr unsigned kMostVisits = 100;
 
@@ -52,8 +52,8 @@ static bool isConversion(Operation *op) {
                          arith::ExtUIOp, arith::TruncIOp>(op);
 }
 
-/// The number from which `value` was converted to the type of the element, or
-/// to the type in which the program computes.
+/// Returns the number from which `value` was converted to the type of the
+/// element, or to the type in which the program computes.
 Value ChosenExtremum::getNumber(Value value) const {
   unsigned width = getNumberWidth(stored.getType());
   while (isConversion(value.getDefiningOp()) &&
@@ -112,7 +112,7 @@ bool ChosenExtremum::collectCondition(Value condition) {
          });
 }
 
-/// Adds the conversions from `number` to `value` to the path. False if the
+/// Adds to the path the ops that convert `number` to `value`. False if the
 /// program extends integers in more than one way.
 bool ChosenExtremum::addConversions(Value value, Value number) {
   for (Value between = value; between != number;) {
@@ -137,7 +137,7 @@ bool ChosenExtremum::isExtendedAlike(Value number) const {
           number.getDefiningOp()->getName() == *extension);
 }
 
-/// True if `value` equals `given`, the number that is compared with the
+/// True if `value` equals the number that the program compares with the
 /// element, possibly in the element's type.
 bool ChosenExtremum::isGiven(Value value) const {
   APInt longer, narrow;
@@ -242,7 +242,7 @@ bool ChosenExtremum::collectValue(Value value, Operation *user) {
            collectValue(select.getTrueValue(), user) &&
            collectValue(select.getFalseValue(), user);
   if (auto branch = dyn_cast<scf::IfOp>(op)) {
-    // The branch will move to its user, so both must be in one block.
+    // The branch will move to its user, so both ops must be in one block.
     if (branch->getNumResults() != 1 || branch->getBlock() != user->getBlock())
       return false;
     for (Operation *between = branch; between != user;
@@ -263,8 +263,8 @@ bool ChosenExtremum::collectValue(Value value, Operation *user) {
 // The table
 //===----------------------------------------------------------------------===//
 
-/// The result of the comparison `op` where the given number and the former one
-/// are in this order.
+/// Returns the result of the comparison `op` if the given number and the former
+/// one are in the order `order`.
 bool ChosenExtremum::compares(Operation *op, Order order) const {
   bool isLess = order == Order::Less;
   bool isLeftOld = old.reaches(op->getOperand(0)),
@@ -309,8 +309,8 @@ bool ChosenExtremum::holds(Value condition, Row row) const {
   return holds(taken.front().getTerminator()->getOperand(number), row);
 }
 
-/// True if `value` is the given number, not the former one, in this row of the
-/// truth table.
+/// True if `value` is the given number, and not the former one, in this row of
+/// the truth table.
 bool ChosenExtremum::takes(Value value, Row row) const {
   if (formerValues.contains(value))
     return false;
@@ -346,8 +346,8 @@ bool ChosenExtremum::decide() {
   for (unsigned holding = 0; holding != 1u << atoms.size(); ++holding) {
     bool ifLess = takes(Row{Order::Less, holding});
     bool ifGreater = takes(Row{Order::Greater, holding});
-    // An atomic extremum leaves an element that is NaN as it is, so the program
-    // must not replace one.
+    // An atomic extremum leaves an element that is NaN as it is, so a program
+    // that replaces NaN is not an atomic extremum.
     if (asksForNaN && takes(Row{Order::FormerIsNaN, holding}))
       return false;
     if (!ifLess && !ifGreater)
@@ -371,9 +371,10 @@ bool ChosenExtremum::decide() {
          llvm::all_of(givenValues, [&](Value value) { return isGiven(value); });
 }
 
-/// True if constants in place of the comparisons do not let more iterations run
-/// an arm of `branch`, or if its arms may run in any iteration. Ops that
-/// compute compared values may, because the program always runs them.
+/// True if the comparisons may be replaced by constants, by which more
+/// iterations may run an arm of `branch`: no arm gets more iterations, or the
+/// arm's ops may run in any iteration. Ops that compute compared values may,
+/// because the program always runs them.
 bool ChosenExtremum::mayRunMore(scf::IfOp branch,
                                 const llvm::SetVector<Operation *> &compared) {
   auto isHarmless = [&](Operation *op) {
@@ -454,7 +455,8 @@ bool ChosenExtremum::mayTake(Value value) const {
   });
 }
 
-/// Emits the update by `value`, in the arms of the branches that choose it.
+/// Emits the update of the element by `value`, inside the arms of the branches
+/// that choose this value.
 void ChosenExtremum::sink(OpBuilder &b, Value value,
                           function_ref<void(OpBuilder &, Value)> emit) {
   if (formerValues.contains(value))
@@ -462,7 +464,8 @@ void ChosenExtremum::sink(OpBuilder &b, Value value,
   auto known = extrema.find(value);
   if (known != extrema.end() || !old.reaches(value)) {
     Value result = known == extrema.end() ? value : known->second.given;
-    // `given` equals `result` and dominates the store.
+    // The given number equals `result` and dominates the store, so it can be
+    // stored instead.
     if (isGivenKnown && given.getType() == result.getType())
       result = given;
     return emit(b, result);
@@ -511,7 +514,8 @@ void ChosenExtremum::rewrite(
   OpBuilder b(store);
   sink(b, stored, emit);
   store->erase();
-  // The arms of branches that yield numbers have been moved.
+  // The arms of branches that yield numbers have been moved, so the branches
+  // are erased.
   for (OpResult result : llvm::reverse(branches)) {
     Operation *branch = result.getOwner();
     if (isTruthValue(result))

@@ -30,13 +30,14 @@
 
 namespace mlir::tai {
 
-/// True for minima and maxima.
+/// True for atomic kinds that are minima or maxima.
 bool isExtremum(AtomicKind kind);
 
-/// The width of a type of numbers in bits; an index has 64.
+/// Returns the width in bits of a type of numbers; an index has 64.
 unsigned getNumberWidth(Type type);
 
-/// True if no op in `op` other than `but` has an effect other than a read.
+/// True if no op nested in `op`, other than `but`, has an effect other than a
+/// read.
 bool hasNoEffectBut(Operation *op, Operation *but = nullptr);
 
 /// A branch around an op, and the side of the branch that the op is on.
@@ -56,15 +57,15 @@ public:
   bool match();
 
   AtomicKind getKind() const { return kind; }
-  /// The number that the program compares with the element.
+  /// The number that the program compares with the element of the update.
   Value getGiven() const { return given; }
-  /// The value that the given number is compared with: the element, or an
-  /// earlier update of the element.
+  /// Returns the value with which the program compares the given number: the
+  /// element, or an earlier update of the element.
   Value getFormer() const { return former; }
   /// The op by which the program extends the element to a wider type, if any.
   std::optional<OperationName> getExtension() const { return extension; }
   ArrayRef<DifferentiableAccessInterface> getLoads() const { return loads; }
-  /// Ops between the loads and the store.
+  /// The ops between the loads of the element and the store.
   ArrayRef<Operation *> getPath() const { return path.getArrayRef(); }
   /// Results of branches between the loads of the element and the store.
   ArrayRef<OpResult> getBranches() const { return branches; }
@@ -78,13 +79,14 @@ public:
 
 private:
   enum class Order { Less, Greater, FormerIsNaN };
-  /// A row of the table: how the given number compares with the former one, and
-  /// which conditions hold.
+  /// A row of the truth table: how the given number compares with the former
+  /// one, and which conditions hold.
   struct Row {
     Order order;
     unsigned holding;
   };
-  /// A value that is the extremum of the former and the given number.
+  /// A value that is the extremum of the former value of the element and the
+  /// given number.
   struct Extremum {
     AtomicKind kind;
     Value given;
@@ -124,24 +126,23 @@ private:
 
   AtomicKind kind = AtomicKind::Min;
   Value given, former;
-  /// Whether `given`, the number that is compared with the element, dominates
-  /// the store.
+  /// True if the number that is compared with the element dominates the store.
   bool isGivenKnown = false;
   std::optional<OperationName> extension;
-  /// Whether the comparisons found so far interpret integers as signed or
+  /// Tells whether the comparisons found so far interpret integers as signed or
   /// unsigned.
   enum class Signs { None, Signed, Unsigned, Both };
   Signs signs = Signs::None;
   bool asksForNaN = false;
   unsigned visited = 0;
   SmallVector<SideOfBranch, 1> guards;
-  /// Conditions that do not depend on the element. `numbers` has the position
-  /// of each condition in `atoms`; equal conditions share a position.
+  /// The conditions that do not depend on the element. `numbers` has the
+  /// position of each condition in `atoms`; equal conditions share a position.
   SmallVector<Value, 4> atoms;
   llvm::DenseMap<Value, unsigned> numbers;
   SmallVector<Operation *, 1> comparisons;
-  /// The values that may be stored: given numbers, the former value, and
-  /// extrema of both.
+  /// The values that the store may store: given numbers, the former value of
+  /// the element, and extrema of both.
   SmallVector<Value, 2> givenValues;
   llvm::DenseSet<Value> formerValues;
   llvm::DenseMap<Value, Extremum> extrema;

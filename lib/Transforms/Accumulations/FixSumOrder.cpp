@@ -23,8 +23,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether the function sums over iterations: a kernel, or a function with a
-/// loop of its own.
+/// True if the function is a kernel, or a function with a loop of its own, so
+/// that it may contain sums over iterations.
 static bool hasLoops(FunctionOpInterface function) {
   if (isa<KernelOp>(function.getOperation()))
     return true;

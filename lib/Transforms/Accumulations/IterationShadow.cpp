@@ -22,8 +22,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The entry of an element that several iterations have reached. Numbers of
-/// iterations are smaller; f64 represents all of them exactly.
+/// The shadow entry of an element that several iterations have reached. Numbers
+/// of iterations are smaller; f64 represents all of them exactly.
 static constexpr int64_t kSeveral = int64_t(1) << 52;
 
 std::string mlir::tai::describeElement(DifferentiableAccessInterface access) {
@@ -103,8 +103,8 @@ void IterationShadow::moveTo(DifferentiableAccessInterface access) {
         scf::IfOp::create(b, isWanted, /*withElseRegion=*/false).thenBlock());
 }
 
-/// The positions in the shadow of the components that the access reaches.
-/// Indices out of range wrap around; other checks report them.
+/// Returns the positions in the shadow array of the components that the access
+/// reaches. Indices out of range wrap around; other checks report them.
 SmallVector<Value>
 IterationShadow::getNumbers(DifferentiableAccessInterface access) {
   Value first = index(0);
@@ -175,9 +175,9 @@ Value IterationShadow::isFree(Value array,
                               DifferentiableAccessInterface access) {
   Value own = getIteration(), isFree;
   for (Value number : getNumbers(access)) {
-    // Read by an atomic maximum with -1, which, unlike a load, is not moved
-    // before the update that leaves this iteration's own number for other
-    // iterations.
+    // The shadow is read by an atomic maximum with -1, which, unlike a load, is
+    // not moved before the update that leaves this iteration's own number for
+    // other iterations.
     Value found = memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::maximumf,
                                               real(-1), array, number);
     Value isMine = isNoneOr(found, own);

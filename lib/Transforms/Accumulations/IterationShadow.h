@@ -19,15 +19,16 @@
 
 namespace mlir::tai {
 
-/// The name of the element of an access, for messages.
+/// Describes the element of an access, for messages.
 std::string describeElement(DifferentiableAccessInterface access);
 
-/// The shadows of one storage in one loop: a number for each component.
+/// The shadow array of one storage in one loop: for each component, the number
+/// of the iteration that reached it.
 class IterationShadow {
 public:
-  /// Computes the extents of the storage before the loop; nullopt if there are
-  /// too many elements. If `isWanted` is given, accesses are only checked in
-  /// launches in which it holds.
+  /// Emits the extents of the storage before the loop; nullopt if there are too
+  /// many elements. If `isWanted` is given, accesses are only checked in
+  /// launches in which this condition holds.
   static std::optional<IterationShadow>
   create(ParallelForOp loop, DifferentiableAccessInterface access,
          Value isWanted = {});
@@ -35,14 +36,14 @@ public:
   /// Creates a shadow array filled with -1: allocated before the loop, freed
   /// after it.
   Value createArray();
-  /// Moves the insertion point before `access`.
+  /// Moves the insertion point of the builder before `access`.
   void moveTo(DifferentiableAccessInterface access);
-  /// Leaves the number of the iteration at all components that `access`
-  /// reaches. Returns whether no other iteration has left its number there
-  /// before.
+  /// Emits code that writes the number of the iteration to the shadow of all
+  /// components that `access` reaches. Returns an i1: true if no other
+  /// iteration had left its number there.
   Value leave(Value array, DifferentiableAccessInterface access);
-  /// Whether no other iteration has left its number at a component that
-  /// `access` reaches.
+  /// Emits the test that no other iteration has left its number at a component
+  /// that `access` reaches.
   Value isFree(Value array, DifferentiableAccessInterface access);
   /// Fails the launch at `access` unless the condition holds. `message` follows
   /// the name of the element.
@@ -63,7 +64,7 @@ private:
   SmallVector<Value> extents;
   /// The shape of an element of the storage; empty for scalars.
   SmallVector<int64_t> shape;
-  /// The number of components of the storage.
+  /// The number of components of the whole storage.
   Value size;
   Value isWanted;
 };

@@ -47,8 +47,8 @@ LoopMemory::LoopMemory(ParallelForOp loop) : loop(loop) {
   });
 }
 
-/// True if the accesses never reach the same element, neither in one iteration
-/// nor in two different ones.
+/// True if the two accesses never reach the same element, neither in one
+/// iteration nor in two different ones.
 bool LoopMemory::areApart(const LoopAccess &first, const LoopAccess &second) {
   auto [entry, isNew] = compared.try_emplace({first.op, second.op}, false);
   if (!isNew || compared.size() > kMaxComparisons)
@@ -112,7 +112,8 @@ bool LoopMemory::isMovable(StoreOp store, LoopBox &box) {
   std::optional<SmallVector<scf::IfOp>> conditions = getConditions(store, box);
   if (!matchPattern(store.getValue(), m_Constant(&value)) || !conditions)
     return false;
-  // The loop to which the store moves recomputes its operands and conditions.
+  // The loop to which the store moves recomputes its operands and conditions,
+  // so the memory that they load must be unchanged then.
   auto isUntouched = [&](LoadOp load) {
     return llvm::all_of(
         accesses[getStorageKey(load)],
@@ -152,8 +153,8 @@ llvm::SmallPtrSet<Operation *, 4> LoopMemory::findMovableStores(LoopBox &box) {
   return movable;
 }
 
-/// Whether `access` reaches the element of `own` in the same iteration; nullopt
-/// if that is not certain.
+/// True if `access` reaches the same element as `own` in one iteration, false
+/// if a different one; nullopt if neither is certain.
 static std::optional<bool> isSameElement(const LoopAccess &own,
                                          const LoopAccess &access) {
   const ElementPlace &a = own.place, &b = access.place;

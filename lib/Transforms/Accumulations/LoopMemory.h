@@ -36,9 +36,9 @@ public:
   explicit LoopMemory(ParallelForOp loop);
 
   /// True if `load` reads the same value when it is repeated at any time, in
-  /// any iteration. Additions to the storage `added` are ignored: the caller
-  /// checks them. Stores in `later` are ignored as well; `needsLater` is set if
-  /// the result depends on that.
+  /// any iteration. Additions to the storage `added` are ignored, because the
+  /// caller checks them. Stores in `later` are ignored as well; `needsLater` is
+  /// set if the result depends on that.
   bool isStable(LoadOp load, const void *added,
                 const llvm::SmallPtrSetImpl<Operation *> &later,
                 bool &needsLater);
@@ -58,9 +58,9 @@ private:
   bool isKnown = true;
 };
 
-/// True if `value` can be computed again in another iteration: it is made of
-/// operations without effects, and of reads that `isStable` allows. Adds the
-/// operations to `seen`.
+/// True if `value` can be computed again in another iteration, from operations
+/// without effects and from reads that `isStable` allows. Adds the operations
+/// to `seen`.
 bool canRecompute(Value value, LoopBox &box,
                   llvm::function_ref<bool(LoadOp)> isStable,
                   llvm::SmallDenseSet<Operation *> &seen);

@@ -20,15 +20,17 @@ namespace mlir::tai {
 
 class OldValue {
 public:
-  /// `reads` are the reads in the loop of the storage that `store` writes.
+  /// Analyses the old value of the element to which `store` writes. `reads` are
+  /// the reads in the loop of the storage that `store` writes.
   OldValue(DifferentiableAccessInterface store, ParallelForOp loop,
            ArrayRef<DifferentiableAccessInterface> reads,
            const SameIteration &same);
 
-  /// True for a load of the element that the store of this iteration writes.
+  /// True for a load of the same element that the store of this iteration
+  /// writes.
   bool isLoaded(Value value) const;
-  /// True for a value that is computed from the element or from a component of
-  /// it.
+  /// True for a value that is computed from the old value of the element or of
+  /// a component of it.
   bool reaches(Value value) const { return dependents.contains(value); }
 
 private:

@@ -44,7 +44,8 @@ static bool haveSameStorage(DifferentiableAccessInterface lhs,
   return getStorageKey(lhs) == getStorageKey(rhs);
 }
 
-/// True if both accesses are to array arguments, which may be the same array.
+/// True if both accesses are to array arguments of the kernel, which may be the
+/// same array.
 static bool mayBeOneArray(DifferentiableAccessInterface lhs,
                           DifferentiableAccessInterface rhs) {
   Value a = lhs.getAccessedStorage().memref;
@@ -53,7 +54,7 @@ static bool mayBeOneArray(DifferentiableAccessInterface lhs,
          isa<BlockArgument>(b);
 }
 
-/// Emits whether the array arguments of both accesses are the same array.
+/// Emits a test that the array arguments of both accesses are the same array.
 static Value createIsOneArray(ImplicitLocOpBuilder &b,
                               DifferentiableAccessInterface lhs,
                               DifferentiableAccessInterface rhs) {
@@ -158,15 +159,15 @@ void OtherIterations::report() {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Emits, before a loop, whether two accesses reach the same element in
+/// Emits, before a loop, a test whether two accesses reach the same element in
 /// different iterations.
 class MeetingBuilder {
 public:
   MeetingBuilder(ParallelForOp loop, Location loc)
       : loop(loop), b(loc, loop), rank(loop.getInductionVars().size()) {}
 
-  /// Emits whether the accesses meet in different iterations; null if that
-  /// cannot be computed before the loop.
+  /// Emits the test whether the accesses meet in different iterations; null if
+  /// it cannot be computed before the loop.
   Value create(DifferentiableAccessInterface write,
                DifferentiableAccessInterface read);
 
@@ -214,7 +215,8 @@ Value MeetingBuilder::widen(Value value) {
   return b.createOrFold<arith::ExtSIOp>(i64, value);
 }
 
-/// The value as i64; null for operations that may fault.
+/// Emits the value of an atom of an index expression as i64; null for
+/// operations that may fault.
 Value MeetingBuilder::emit(const IndexAtom &atom) {
   const IndexNode *node = atom.getNode();
   if (!node) {
@@ -252,7 +254,8 @@ Value MeetingBuilder::emit(const IndexAtom &atom) {
   return {};
 }
 
-/// Emits the sum in i64, in which it does not wrap.
+/// Emits the value of an index expression in i64, in which the sum does not
+/// wrap.
 Value MeetingBuilder::emit(const IndexExpr &expr) {
   Value sum = number(expr.constant);
   for (const auto &[atom, factor] : expr.terms) {
@@ -265,8 +268,9 @@ Value MeetingBuilder::emit(const IndexExpr &expr) {
   return sum;
 }
 
-/// The only dimension whose loop index occurs in the form, and its factor;
-/// dimension -1 if no loop index occurs. Nullopt for other forms.
+/// Returns the only dimension whose loop index occurs in the index expression,
+/// and the factor of the index; dimension -1 if no loop index occurs. Nullopt
+/// for other expressions.
 std::optional<std::pair<int, int64_t>>
 MeetingBuilder::getLoopTerm(const IndexExpr &form) {
   std::pair<int, int64_t> found(-1, 0);
@@ -286,8 +290,9 @@ MeetingBuilder::getLoopTerm(const IndexExpr &form) {
   return isOfOutside ? std::optional(found) : std::nullopt;
 }
 
-/// Requires lhs(i) == rhs(j) in i64, without wrapping: if the numbers are
-/// equal, so are narrower indices, which wrap. False if that is not supported.
+/// Adds the equation lhs(i) == rhs(j) in i64, without wrapping: if the numbers
+/// are equal, so are narrower indices, which wrap. False if the equation is not
+/// supported.
 bool MeetingBuilder::addEquation(const IndexExpr &lhs, const IndexExpr &rhs) {
   auto a = getLoopTerm(lhs), c = getLoopTerm(rhs);
   if (!a || !c || a->first != c->first || a->second != c->second)
@@ -300,7 +305,7 @@ bool MeetingBuilder::addEquation(const IndexExpr &lhs, const IndexExpr &rhs) {
       require(compare(arith::CmpIPredicate::eq, distance, number(0)));
     return distance != nullptr;
   }
-  // The equation is now factor * j = factor * i + difference.
+  // The equation has become factor * j = factor * i + difference.
   int64_t factor = a->second;
   if (difference.isConstant() && difference.constant % factor == 0)
     difference = IndexExpr(difference.constant / factor);
@@ -426,7 +431,7 @@ void OtherIterations::refuseLaunches() {
                        b.getI32IntegerAttr(TAI_FAIL_CHECK));
       continue;
     }
-    // Move the precondition to the top of the kernel, before all effects.
+    // The precondition is moved to the top of the kernel, before all effects.
     Operation *condition = PreconditionOp::create(
         b, isApart, b.getStringAttr(message), ValueRange());
     SetVector<Operation *> slice;

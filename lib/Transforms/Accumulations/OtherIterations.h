@@ -13,8 +13,8 @@
 
 namespace mlir::tai {
 
-/// The reads of a parallel loop of elements that other iterations write: the
-/// result depends on which iteration comes first.
+/// Finds reads, in a parallel loop, of elements that other iterations write:
+/// the result of such a read depends on which iteration comes first.
 class OtherIterations {
 public:
   explicit OtherIterations(ParallelForOp loop) : loop(loop) {}
@@ -22,18 +22,18 @@ public:
   using PairFilter = llvm::function_ref<bool(DifferentiableAccessInterface,
                                              DifferentiableAccessInterface)>;
 
-  /// Examines all pairs of a write and a read, except pairs for which `isKnown`
-  /// holds.
+  /// Examines all pairs of a write and a read in the loop, except pairs for
+  /// which `isKnown` holds.
   void find(ArrayRef<DifferentiableAccessInterface> writes,
             ArrayRef<DifferentiableAccessInterface> reads, PairFilter isKnown);
 
   bool anyCertain() const { return !certain.empty(); }
-  /// Reports the pairs that certainly conflict.
+  /// Reports the pairs of a write and a read that certainly conflict.
   void report();
-  /// Refuses launches in which a possible conflict occurs, where bounds and
-  /// arguments decide that.
+  /// Refuses launches in which a possible conflict occurs, if bounds and
+  /// arguments decide this.
   void refuseLaunches();
-  /// Makes the loop check for possible conflicts as it runs.
+  /// Adds code to the loop that checks for possible conflicts as the loop runs.
   void check();
 
 private:

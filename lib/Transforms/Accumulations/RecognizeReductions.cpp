@@ -53,7 +53,7 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The updates of one loop.
+/// Finds and rewrites the updates of shared elements in one parallel loop.
 class LoopUpdates {
 public:
   explicit LoopUpdates(ParallelForOp loop) : loop(loop), same(loop) {}
@@ -101,14 +101,16 @@ void LoopUpdates::report(DifferentiableAccessInterface store) {
                        "later loop";
 }
 
-/// True for a store to a storage that the loop reads.
+/// True for a store to a storage that the loop also reads, which may be an
+/// update.
 bool LoopUpdates::isCandidate(DifferentiableAccessInterface access,
                               const Reads &reads) {
   return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
          reads.contains(getStorageKey(access));
 }
 
-/// True unless the accesses provably reach different elements or components.
+/// True unless the two accesses provably reach different elements or
+/// components.
 bool LoopUpdates::mayMeet(DifferentiableAccessInterface store,
                           DifferentiableAccessInterface other) const {
   return getStorageKey(store) == getStorageKey(other) &&
@@ -145,7 +147,8 @@ void LoopUpdates::findOwned(Reads &reads) {
   }
 }
 
-/// True if the loop accesses the element by updates of one kind alone.
+/// True if the loop accesses the element of an update by updates of one kind
+/// alone.
 bool LoopUpdates::isAlone(SharedUpdate &update) {
   DifferentiableAccessInterface store = update.getStore();
   for (DifferentiableAccessInterface other : accesses) {
@@ -174,8 +177,8 @@ bool LoopUpdates::isAlone(SharedUpdate &update) {
   return true;
 }
 
-/// Makes the loop report the store if another iteration has reached its element
-/// by the same store before.
+/// Adds code to the loop that reports the store if another iteration has
+/// reached its element by the same store before.
 void LoopUpdates::check(DifferentiableAccessInterface store) {
   std::optional<IterationShadow> shadow = IterationShadow::create(loop, store);
   if (!shadow)
@@ -250,8 +253,8 @@ LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
       others.push_back(access);
   }
   findOwned(reads);
-  // Removing an update from `owned` can leave others with conflicting accesses:
-  // repeat until nothing changes.
+  // Removing an update from `owned` can leave others with conflicting accesses,
+  // so the check is repeated until nothing changes.
   bool changed = true;
   while (changed) {
     changed = false;
@@ -298,7 +301,8 @@ struct RecognizeReductions
   using Base::Base;
 
   void runOnOperation() override {
-    // Kernels made by differentiation already have atomics where necessary.
+    // Kernels made by differentiation already have atomics where necessary, and
+    // are skipped.
     llvm::StringSet<> derived;
     getOperation().walk([&](KernelOp kernel) {
       for (FlatSymbolRefAttr name :

@@ -25,8 +25,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// A remark for each update: its form, the digits of its sum and the order of
-/// the terms, or why it stays atomic.
+/// Emits a remark for each update of the loop: its form, the digits of its sum
+/// and the order of the terms, or the reason why it stays atomic.
 static void report(ParallelForOp loop, const ReductionPlan &plan) {
   if (!loop.getContext()->getRemarkEngine())
     return;
@@ -69,7 +69,8 @@ struct RelaxAtomics : tai::impl::RelaxAtomicsBase<RelaxAtomics> {
     getOperation()->walk([&](Operation *op) {
       if (auto loop = dyn_cast<ParallelForOp>(op))
         loops.push_back(loop);
-      // Serial code of a kernel runs on one thread.
+      // Serial code of a kernel runs on one thread, so its updates need not be
+      // atomic.
       auto atomic = dyn_cast<AtomicOp>(op);
       if (atomic && !op->getParentOfType<ParallelForOp>())
         atomic.setExclusive(true);

@@ -55,8 +55,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 constexpr int64_t kWarpSize = 32;
-/// The minimal number of terms of a sum that is taken apart, and of members of
-/// a series.
+/// The minimal number of terms of a sum that is divided into single additions,
+/// and of members of a series of similar additions.
 constexpr size_t kMinMembers = 4;
 /// The target number of iterations: the threads of a block that uses many
 /// registers.
@@ -70,7 +70,8 @@ struct Effect {
   SmallVector<AtomicOp> updates;
 };
 
-/// One addition: an effect, or one of its terms.
+/// An addition to an element of a field, or one of the terms of such an
+/// addition.
 struct Addition {
   Operation *effect;
   Value term;
@@ -78,15 +79,15 @@ struct Addition {
   bool isAlone = true;
 };
 
-/// A hole: an operand that is a constant index, as its op and operand number.
-/// The indices of several additions may differ there.
+/// A hole in the model of a series: an operand that is a constant index, as its
+/// op and operand number. The indices of several additions may differ there.
 using Hole = std::pair<Operation *, unsigned>;
 
-/// Additions that differ in constant indices alone. Each index changes by a
-/// constant step from one member to the next.
+/// A series of additions that differ in constant indices alone. Each index
+/// changes by a constant step from one member to the next.
 struct Series {
   SmallVector<unsigned> members;
-  /// The number of the addition whose operands `holes` are.
+  /// The number of the member of the series whose operands `holes` are.
   unsigned model = 0;
   SmallVector<Hole> holes;
   SmallVector<int64_t> first, step;
@@ -141,11 +142,11 @@ private:
   LoopBox box;
   int64_t count;
   std::vector<Effect> effects;
-  /// The storage that each update adds to.
+  /// The storage to which each update adds.
   llvm::DenseMap<Operation *, Attribute> places;
   std::vector<Addition> additions;
   std::vector<Series> series;
-  /// Additions that are in no series.
+  /// Additions that belong to no series.
   SmallVector<unsigned> rest;
 };
 } // namespace
@@ -166,7 +167,8 @@ static void addOperands(Operation *op, Block &body,
 
 using OpSet = llvm::SmallPtrSet<Operation *, 32>;
 
-/// Adds the operations on `worklist`, and all operations they depend on.
+/// Adds to `needed` the operations on `worklist`, and all operations they
+/// depend on.
 static void addNeeded(SmallVector<Operation *> worklist, Block &body,
                       OpSet &needed) {
   while (!worklist.empty()) {
@@ -191,8 +193,8 @@ static bool isComponent(OpOperand &operand) {
          operand.getOperandNumber() >= components.getBeginOperandIndex();
 }
 
-/// Returns a constant index that may differ between members. Component indices
-/// may not: they stay constants, as addresses require.
+/// Returns a constant index that may differ between the members of a series.
+/// Component indices may not: they stay constants, as addresses require.
 static std::optional<int64_t> getOpenIndex(OpOperand &operand) {
   if (!operand.get().getType().isIndex() || isComponent(operand))
     return std::nullopt;
@@ -297,7 +299,8 @@ FailureOr<bool> Spreading::collect(FieldTable &fields) {
         if (failed(field))
           return WalkResult::interrupt();
         Attribute place = (*field)->scope;
-        // An update may have to make its cell active first.
+        // A body that updates a field below a sparse level is not supported,
+        // because the update may have to make its cell active first.
         isSupported &= (*field)->sparse.empty();
         if (auto update = dyn_cast<AtomicOp>(nested)) {
           isSupported &= update.getOld().use_empty() &&
@@ -322,7 +325,8 @@ FailureOr<bool> Spreading::collect(FieldTable &fields) {
       return failure();
     if (effect.updates.empty())
       continue;
-    // A user of a result would repeat the op, and with it the updates.
+    // An op with a result is not supported: a user of the result would repeat
+    // the op, and with it the updates.
     isSupported &= isa<AtomicOp>(op) || op.getNumResults() == 0;
     effects.push_back(std::move(effect));
   }
@@ -331,8 +335,8 @@ FailureOr<bool> Spreading::collect(FieldTable &fields) {
          });
 }
 
-/// Unites effects whose updates may reach one element, unless all are atomic:
-/// united effects stay in one thread.
+/// Unites sets of effects whose updates may reach the same element, unless all
+/// are atomic. The effects of a set are executed by one thread.
 void Spreading::uniteConflicts(llvm::EquivalenceClasses<unsigned> &united) {
   llvm::MapVector<Attribute, SmallVector<std::pair<unsigned, AtomicOp>>>
       byPlace;
@@ -535,7 +539,7 @@ static void emitAddition(OpBuilder &builder, const Addition &addition,
   builder.clone(*addition.effect, mapping);
 }
 
-/// Emits the addition of member `m` of each series of the group.
+/// Emits the addition of member number `m` of each series in the group.
 void Spreading::emitSeries(OpBuilder &builder, ArrayRef<Series *> group,
                            Value m, ValueRange indices) {
   std::map<std::pair<int64_t, int64_t>, Value> made;
@@ -556,7 +560,8 @@ void Spreading::emitSeries(OpBuilder &builder, ArrayRef<Series *> group,
         clone->setOperand(one.holes[k].second,
                           getIndex(one.first[k], one.step[k]));
   };
-  // Emit all reads before the additions, so that equal reads can be merged.
+  // All reads are emitted before the additions, so that equal reads can be
+  // merged.
   std::vector<IRMapping> mappings(group.size());
   for (auto [one, mapping] : llvm::zip_equal(group, mappings)) {
     const Addition &model = additions[one->model];

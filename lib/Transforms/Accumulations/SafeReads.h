@@ -23,7 +23,7 @@ namespace mlir::tai {
 /// a store are removed.
 class SafeReads {
 public:
-  /// `accesses` are all accesses of the loop.
+  /// Analyses reads around `store`. `accesses` are all accesses of the loop.
   SafeReads(DifferentiableAccessInterface store, ParallelForOp loop,
             const SameIteration &same,
             ArrayRef<DifferentiableAccessInterface> accesses)

@@ -82,8 +82,8 @@ static Value createZero(OpBuilder &builder, Location loc, Type type) {
   return arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
 }
 
-/// The value that `scatter` adds, computed under its conditions from number
-/// `depth` on; zero where one of these conditions does not hold.
+/// Emits the value that `scatter` adds, computed under its conditions from
+/// number `depth` on; zero where one of these conditions does not hold.
 static Value recomputeBelow(Recomputation &at, Scatter &scatter,
                             unsigned depth) {
   Location loc = scatter.op.getLoc();
@@ -128,9 +128,9 @@ static void addRangeTests(OpBuilder &builder, Location loc, Value index,
     add(arith::CmpIPredicate::slt, upper);
 }
 
-/// Along index `k`, the iteration that adds to the element of iteration `iv`:
-/// iv - offset, wrapped if the shift wraps. Adds to `inside` the tests that
-/// this iteration exists.
+/// Emits the index of the iteration that, along loop index `k`, adds to the
+/// element of iteration `iv`: iv - offset, wrapped if the shift wraps. Adds to
+/// `inside` the tests that this iteration exists.
 static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
                          unsigned k, SmallVectorImpl<Value> &inside) {
   Location loc = scatter.op.getLoc();
@@ -165,8 +165,8 @@ static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
   return arith::SelectOp::create(builder, loc, isOutside, wrapped, source);
 }
 
-/// Whether a loop over active cells has the iteration with these indices; null
-/// if the iteration always exists.
+/// Emits the test that a loop over active cells has the iteration with these
+/// indices; null if the iteration always exists.
 static Value emitIsVisited(OpBuilder &builder, LoopBox &box,
                            const IRMapping &mapping, Scatter &scatter) {
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
@@ -190,7 +190,8 @@ static Value emitIsVisited(OpBuilder &builder, LoopBox &box,
                             builder.getI64IntegerAttr(up));
 }
 
-/// The value if `condition` holds, zero if not.
+/// Emits a value that is computed only if `condition` holds, and is zero
+/// otherwise.
 static Value createGuarded(OpBuilder &builder, Location loc, Type type,
                            Value condition,
                            function_ref<Value(OpBuilder &builder)> value) {
@@ -205,7 +206,7 @@ static Value createGuarded(OpBuilder &builder, Location loc, Type type,
       .getResult(0);
 }
 
-/// A term of `scatter` for the element that the present iteration owns.
+/// Emits a term of `scatter` for the element that the present iteration owns.
 /// `choice` has a stray for each index, or null for the shifted iteration.
 static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter,
                        ArrayRef<const IndexSource::Stray *> choice) {
@@ -243,7 +244,8 @@ static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter,
   return createGuarded(builder, loc, type, condition, value);
 }
 
-/// All terms of `scatter` for the element that the present iteration owns.
+/// Emits all terms that `scatter` adds to the element that the present
+/// iteration owns.
 static void recomputeTerms(OpBuilder &builder, LoopBox &box, Scatter &scatter,
                            SmallVectorImpl<Value> &terms) {
   for (unsigned number = 0; number != scatter.getNumTerms(); ++number) {
@@ -275,7 +277,7 @@ static Value emitSum(OpBuilder &builder, Location loc, ValueRange values) {
   return sum;
 }
 
-/// The sum in twice the precision of its type, rounded once. In f64 the
+/// Emits a sum in twice the precision of its type, rounded once. In f64 the
 /// rounding errors are summed separately (two-sum). A target may fuse a term
 /// that is a product into both additions that use it, or into neither, so that
 /// the error belongs to the term that was added.
@@ -309,7 +311,7 @@ static Value emitCompensatedSum(OpBuilder &builder, Location loc,
         add(subtract(before, subtract(sum, taken)), subtract(value, taken));
     rest = rest ? add(rest, lost) : lost;
   }
-  // The rounding errors of an infinite sum are NaN.
+  // The rounding errors of an infinite sum are NaN, and count as zero.
   Value isNumber = arith::CmpFOp::create(builder, loc,
                                          arith::CmpFPredicate::ORD, rest, rest);
   return arith::SelectOp::create(builder, loc, isNumber, add(sum, rest), sum);
@@ -349,7 +351,8 @@ static Gathered gather(LoopBox &box, Group &group, TermSum sum) {
 /// store, which would stop the vectoriser.
 static void sinkAdditions(LoopBox &box) {
   Operation *end = box.body().getTerminator();
-  // Copy the list of additions, because they move while it is visited.
+  // The list of additions is copied, because the additions move while it is
+  // visited.
   SmallVector<AtomicOp> additions(box.body().getOps<AtomicOp>());
   for (AtomicOp op : additions) {
     const void *storage = getStorageKey(op);
@@ -365,8 +368,8 @@ static void sinkAdditions(LoopBox &box) {
   }
 }
 
-/// Extends the loop to all elements that it has to own; its body runs in the
-/// original iterations alone.
+/// Extends the loop to all elements that it has to own. The loop body runs in
+/// the original iterations alone.
 static void widen(LoopBox &box, const Owned &owned) {
   OpBuilder builder(box.loop);
   Location loc = box.loop.getLoc();
@@ -408,7 +411,7 @@ createLaterStores(LoopBox &box,
   builder.setInsertionPointToEnd(&body);
   builder.clone(*box.body().getTerminator());
 
-  // Consecutive stores in one block share the branches around them.
+  // Consecutive stores in one block share copies of the branches around them.
   Block *from = nullptr;
   std::optional<Recomputation> at;
   box.loop.getBody().walk([&](StoreOp store) {
@@ -436,7 +439,8 @@ createLaterStores(LoopBox &box,
   return later;
 }
 
-/// Replaces the additions of each group by one at the end of the body.
+/// Replaces the additions of each group by one addition at the end of the loop
+/// body.
 static void rewrite(LoopBox &box, MutableArrayRef<Group> groups, TermSum kind) {
   SmallVector<Gathered> all;
   for (Group &group : groups)
@@ -458,7 +462,7 @@ static void rewrite(LoopBox &box, MutableArrayRef<Group> groups, TermSum kind) {
       scatter.op.erase();
 }
 
-/// Whether the kernel around the loop activates no cells.
+/// True if the kernel around the loop activates no cells.
 static bool keepsActivity(ParallelForOp loop) {
   auto kernel = loop->getParentOfType<KernelOp>();
   return kernel && kernel.getKeepsActivity();
@@ -476,8 +480,8 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
         int64_t offset = std::abs(source.shift.offset);
         for (const IndexSource::Stray &stray : source.strays)
           offset = std::max(offset, std::abs(stray.element - stray.iteration));
-        // The number of elements that a sparse cell spans along dimension `d`
-        // of the loop.
+        // Returns the number of elements that a sparse cell spans along
+        // dimension `d` of the loop.
         int64_t extent = 1;
         for (const PathLevel &level : llvm::reverse(visited.path.levels)) {
           if (level.type.isSparse())
@@ -492,7 +496,7 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
   return reach;
 }
 
-/// Says in a remark that the additions at `op` are gathered, or why not.
+/// Emits a remark that the additions at `op` are gathered, or why they are not.
 static void report(AtomicOp op, const GatherRefusal *why) {
   if (!op.getContext()->getRemarkEngine() || (why && why->isSum))
     return;
@@ -514,14 +518,15 @@ static void report(AtomicOp op, const GatherRefusal *why) {
 namespace {
 struct GatherOptions {
   unsigned maxOps;
-  /// Whether sums of f64 may keep their rounding errors in a second sum.
+  /// True if sums of f64 may keep their rounding errors in a second sum.
   bool pairSums;
-  /// Whether stores may move to a loop of their own.
+  /// True if stores of the loop may move to a loop of their own.
   bool movesStores;
 };
 } // namespace
 
-/// Gathers all scatters that can be gathered; true if there were any.
+/// Turns all scatters of the loop that can be gathered into gathers; true if
+/// there were any.
 static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
   int64_t reach = 0;
@@ -531,12 +536,13 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
     box.loop.walk([&](AtomicOp op) { additions.push_back(op); });
     llvm::for_each(additions, forwardAddition);
   }
-  // Fields in the order of their first addition.
+  // The additions of the loop by field, in the order of the first addition to
+  // each field.
   llvm::MapVector<const void *, SmallVector<AtomicOp>> byStorage;
   box.loop.walk(
       [&](AtomicOp op) { byStorage[getStorageKey(op)].push_back(op); });
-  // The loop for the stores is created before the loop of the additions gets
-  // more iterations.
+  // The loop for the stores is created first, because the loop of the additions
+  // gets more iterations afterwards.
   llvm::SmallPtrSet<Operation *, 4> stores;
   ParallelForOp laterStores;
   if (options.movesStores && llvm::any_of(byStorage, [](auto &entry) {
@@ -598,7 +604,7 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   return changed;
 }
 
-/// Reports all additions of a loop that is left alone.
+/// Reports all additions of a loop that stays as it is.
 static void reportAll(ParallelForOp loop, StringRef reason) {
   GatherRefusal why;
   why.set(loop, reason);
@@ -609,8 +615,8 @@ static void reportAll(ParallelForOp loop, StringRef reason) {
   });
 }
 
-/// Gathers in a loop over active cells. A branch keeps the scatter for launches
-/// in which the loop does not visit all active cells.
+/// Gathers scatters in a loop over active cells. A branch keeps the scatter for
+/// launches in which the loop does not visit all active cells.
 static void gatherSparseLoop(ParallelForOp loop, LoopBox &box,
                              const GatherOptions &options) {
   ParallelForOp scattered = loop.clone();
@@ -646,8 +652,8 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
       }
       GatherOptions options{maxOps, pairSums, /*movesStores=*/false};
       if (failed(getSparseLoopField(loop))) {
-        // On a GPU, stores stay: threads add quickly in any order, and a loop
-        // for the stores is a second launch.
+        // On a GPU, stores stay in the loop: threads add quickly in any order,
+        // and a loop for the stores is a second launch.
         options.movesStores = !onDevice || hasFixedBits(loop);
         gatherLoop(*box, options);
       } else if (keepsActivity(loop) &&

@@ -59,7 +59,7 @@ static std::optional<IndexSource> getIndexSource(Value index, Value iv,
   return source;
 }
 
-/// Describes `op` as a gatherable addition, if it is one.
+/// Returns `op` as a scatter whose terms can be gathered, if it is one.
 static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
                                          const FieldLayout &layout,
                                          GatherRefusal &why) {
@@ -93,7 +93,8 @@ static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
   Scatter scatter{op, std::move(*conditions), {}, {}, {}};
   for (auto [k, iv] : llvm::enumerate(box.ivs())) {
     int dimension = dimensionOf[k];
-    // If no index depends on `iv`, all its values add to one element.
+    // If no index depends on `iv`, all iterations along this loop index add to
+    // one element.
     if (dimension < 0)
       return refuse("iterations along an index of the loop add to one element");
     scatter.owned.lower.push_back(layout.offset[dimension]);
@@ -109,8 +110,8 @@ static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
   return scatter;
 }
 
-/// The indices of the scatter that do not depend on the loop; they select a
-/// slice of the field.
+/// Returns the indices of the scatter that do not depend on the loop, which
+/// select a slice of the field.
 static SmallVector<Value> getSliceIndices(const Scatter &scatter) {
   SmallVector<Value> indices;
   for (auto [dimension, index] :
@@ -120,7 +121,8 @@ static SmallVector<Value> getSliceIndices(const Scatter &scatter) {
   return indices;
 }
 
-/// The indices of `all` at the positions that are slice indices of `scatter`.
+/// Returns those values of `all` that are at the positions of slice indices of
+/// `scatter`.
 static SmallVector<Value> selectSliceIndices(const Scatter &scatter,
                                              ValueRange all) {
   SmallVector<Value> indices;
@@ -130,8 +132,8 @@ static SmallVector<Value> selectSliceIndices(const Scatter &scatter,
   return indices;
 }
 
-/// True if `access` certainly touches another slice than the group, or another
-/// component.
+/// True if an access certainly reaches another slice of the field than the
+/// group of scatters, or another component.
 static bool isApart(Scatter &scatter, ValueRange indices,
                     std::optional<int64_t> component) {
   std::optional<int64_t> own = getComponent(
@@ -153,7 +155,7 @@ FailureOr<FieldLayout> tai::getSparseLoopField(ParallelForOp loop) {
   return layout;
 }
 
-/// True if the loop visits all elements of a field that can be added to.
+/// True if the loop visits all elements of a field to which iterations can add.
 static bool ownsAllActive(LoopBox &box, const FieldLayout &field) {
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
   if (failed(visited))
@@ -162,7 +164,8 @@ static bool ownsAllActive(LoopBox &box, const FieldLayout &field) {
 }
 
 /// True if the loop runs over the elements that it has to own, or can be
-/// extended to them at little cost: at least half of them are in the loop.
+/// extended to them at little cost, because at least half of them are in the
+/// loop.
 static bool canOwn(LoopBox &box, const Owned &wanted) {
   if (box.lower == wanted.lower && box.upper == wanted.upper)
     return true;
@@ -191,7 +194,8 @@ tai::getGroups(FieldOp field, LoopBox &box, ArrayRef<AtomicOp> atomics,
     why.set(op, reason);
     return SmallVector<Group>();
   };
-  // Names the read that cannot be done again, if there is one.
+  // Checks whether `value` can be computed again, and names the read that
+  // prevents it.
   auto canRepeat = [&](Value value, llvm::SmallDenseSet<Operation *> &seen) {
     return canRecompute(
         value, box,
@@ -236,8 +240,8 @@ tai::getGroups(FieldOp field, LoopBox &box, ArrayRef<AtomicOp> atomics,
       if (!canRepeat(condition.getCondition(), recomputed))
         return refuseToRepeat(op);
     ops += recomputed.size() * scatter->getNumTerms();
-    // The addition joins the group of its slice, and must not conflict with any
-    // other group.
+    // The addition joins the group of its slice of the field, and must not
+    // conflict with any other group.
     Group *home = nullptr;
     for (Group &group : groups) {
       Scatter &first = group.front();

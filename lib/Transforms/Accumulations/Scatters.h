@@ -31,9 +31,9 @@ struct Owned {
   }
 };
 
-/// How an addition's index depends on a loop index: in the iterations of
-/// [lower, upper) it is the shifted loop index; each of a few iterations at a
-/// border, the strays, adds to an element of its own.
+/// Describes how an addition's index depends on a loop index: in the iterations
+/// of [lower, upper) it is the shifted loop index; each of a few iterations at
+/// a border, the strays, adds to an element of its own.
 struct IndexSource {
   struct Stray {
     int64_t iteration, element;
@@ -46,20 +46,21 @@ struct IndexSource {
   bool isIdentity() const { return shift.isIdentity() && strays.empty(); }
 };
 
-/// One addition that can be gathered.
+/// An addition to an element that other iterations add to as well (a scatter),
+/// whose terms can be gathered.
 struct Scatter {
   AtomicOp op;
   /// The `scf.if` ops around `op`, outermost first.
   SmallVector<scf::IfOp> conditions;
-  /// For each induction variable, the dimension of the field that depends on
-  /// it, and how the index depends on it.
+  /// For each induction variable: the dimension of the field whose index
+  /// depends on it, and how this index depends on it.
   SmallVector<unsigned> dimension;
   SmallVector<IndexSource> source;
-  /// All elements that may be added to.
+  /// All elements to which the scatter may add.
   Owned owned;
 
-  /// The number of terms that an element gets: one for each choice of shift or
-  /// stray along each index.
+  /// The number of terms that the scatter adds to an element: one for each
+  /// choice of shift or stray along each index.
   unsigned getNumTerms() const {
     unsigned count = 1;
     for (const IndexSource &each : source)
@@ -68,15 +69,17 @@ struct Scatter {
   }
 };
 
-/// Additions to one slice of a field.
+/// Scatters to one slice of a field.
 using Group = SmallVector<Scatter, 0>;
 
-/// Why additions stay scattered, in words for the author of the program.
+/// The reason why additions stay scattered, in words for the author of the
+/// program.
 struct GatherRefusal {
   /// The op that decided.
   Operation *at = nullptr;
   std::string reason;
-  /// Whether all iterations add to one element: a sum, which is no scatter.
+  /// True if all iterations add to one element, so that the addition is a sum
+  /// and no scatter.
   bool isSum = false;
 
   void set(Operation *op, const Twine &why) {
@@ -85,8 +88,8 @@ struct GatherRefusal {
   }
 };
 
-/// The layout of the field whose active cells the loop visits; failure for
-/// other loops.
+/// Returns the layout of the field whose active cells the loop visits; failure
+/// for other loops.
 FailureOr<FieldLayout> getSparseLoopField(ParallelForOp loop);
 
 /// Groups the additions to one field by slice and component. Empty if one of
@@ -100,8 +103,8 @@ SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
                              llvm::function_ref<bool(LoadOp)> isStable,
                              GatherRefusal &why);
 
-/// True if no access of the loop other than the groups may touch the elements
-/// of the groups.
+/// True if only the scatters in `groups` may reach the elements that they add
+/// to, and no other access of the loop.
 bool isOnlyAccess(FieldOp field, LoopBox &box, MutableArrayRef<Group> groups,
                   GatherRefusal &why);
 

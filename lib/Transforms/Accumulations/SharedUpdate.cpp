@@ -23,7 +23,7 @@ static Type getScalar(Value value) {
   return getElementTypeOrSelf(value.getType());
 }
 
-/// The truth value whose negation is `value`, or null.
+/// Returns the truth value whose negation is `value`, or null.
 static Value getNegated(Value value) {
   auto flip = value.getDefiningOp<arith::XOrIOp>();
   return flip && matchPattern(flip.getRhs(), m_One()) ? flip.getLhs() : Value();
@@ -84,18 +84,19 @@ void SharedUpdate::forget() {
   formers.clear();
 }
 
-/// The kind of atomic that does the operation of `kind` on unsigned integers.
+/// Returns the kind of atomic that does the operation of `kind` on unsigned
+/// integers.
 static AtomicKind getUnsigned(AtomicKind kind) {
   if (kind == AtomicKind::Min)
     return AtomicKind::MinU;
   return kind == AtomicKind::Max ? AtomicKind::MaxU : kind;
 }
 
-/// True if the step can be computed in the type of the element, and combined
-/// with the earlier steps. Narrows the step's value to that type.
+/// True if the step of an update can be computed in the type of the element,
+/// and combined with the earlier steps. Narrows the step's value to that type.
 bool SharedUpdate::accepts(Step &step) {
-  // A type narrower than the element's loses digits of the element. Extrema of
-  // wider integers are not the extrema of the truncated integers.
+  // In a type narrower than the element's, digits of the element would be lost.
+  // Extrema of wider integers are not the extrema of the truncated integers.
   Type scalar = getScalar(store.getAccessedValue());
   Type combined = getElementTypeOrSelf(step.type);
   if (isa<FloatType>(scalar) != isa<FloatType>(combined) ||
@@ -174,7 +175,8 @@ bool SharedUpdate::matchValue(Value value, const Context &context) {
   return false;
 }
 
-/// Matches an op of one kind with the earlier update as one operand.
+/// Matches an op that combines, in one kind of operation, the result of the
+/// earlier update with another operand.
 bool SharedUpdate::matchCombination(Operation *op, AtomicKind kind,
                                     const Context &context) {
   Value lhs = op->getOperand(0), rhs = op->getOperand(1);
@@ -197,7 +199,8 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
     std::swap(whenTrue, whenFalse);
   }
   Operation *compare = condition.getDefiningOp();
-  // The condition may also hold where one of the compared numbers is NaN.
+  // The program may write a condition that also holds where one of the compared
+  // numbers is NaN.
   if (auto either = dyn_cast_or_null<arith::OrIOp>(compare)) {
     auto isNaN = either.getRhs().getDefiningOp<arith::CmpFOp>();
     if (!isNaN || isNaN.getPredicate() != arith::CmpFPredicate::UNO)
@@ -254,7 +257,8 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   auto isSame = [&](Value a, Value b) {
     return same.areEqual(a, b) || (old.isLoaded(a) && old.isLoaded(b));
   };
-  // If the true value is chosen where it is less, the select is a minimum.
+  // If the value for a true condition is chosen where it is less, the select is
+  // a minimum.
   bool isMin = *direction < 0;
   if (isSame(lhs, whenFalse) && isSame(rhs, whenTrue))
     isMin = !isMin;
@@ -270,8 +274,8 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   AtomicKind kind = isMin ? isUnsigned ? AtomicKind::MinU : AtomicKind::Min
                     : isUnsigned ? AtomicKind::MaxU
                                  : AtomicKind::Max;
-  // Use the compared value, not the chosen one: it is computed before the
-  // choice.
+  // The compared value is used, and not the chosen one, because it is computed
+  // before the choice.
   return Extremum{kind, old.reaches(lhs) ? rhs : lhs,
                   isTrueOld ? whenTrue : whenFalse};
 }
@@ -298,9 +302,9 @@ bool SharedUpdate::matchSelect(arith::SelectOp select, const Context &context) {
   return matchValue(no, inside);
 }
 
-/// The update before `scope`, a branch or loop, from which `value` inside of it
-/// is computed: null for the loaded element, and nullopt if there is not
-/// exactly one such update.
+/// Returns the earlier update, before the branch or loop `scope`, from which
+/// `value` inside of it is computed: null for the loaded element, and nullopt
+/// if there is not exactly one such update.
 std::optional<Value> SharedUpdate::findFormer(Value value,
                                               Operation *scope) const {
   if (old.isLoaded(value))
@@ -322,8 +326,8 @@ std::optional<Value> SharedUpdate::findFormer(Value value,
   }
   std::optional<Value> former;
   for (Value side : sides) {
-    // Skip an operand that does not depend on the element: an added value, or
-    // the number that an extremum compares the element with.
+    // An operand that does not depend on the element is skipped: an added
+    // value, or the number with which an extremum compares the element.
     if (!old.reaches(side))
       continue;
     std::optional<Value> found = findFormer(side, scope);
@@ -334,12 +338,13 @@ std::optional<Value> SharedUpdate::findFormer(Value value,
   return former;
 }
 
-/// Matches a branch both sides of which yield updates of one earlier update.
+/// Matches a branch if both of its sides yield updates that continue one
+/// earlier update.
 bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   auto branch = cast<scf::IfOp>(result.getOwner());
   branches.push_back(result);
   if (old.reaches(branch.getCondition())) {
-    // The branch must have no other result and no effect.
+    // The branch must have no other result, and its arms no effect.
     if (branch->getNumResults() != 1 || !hasNoEffectBut(branch))
       return false;
     std::optional<Extremum> extremum =
@@ -364,8 +369,8 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   if (*former) {
     if (!matchValue(*former, context))
       return false;
-    // The steps of the earlier update, from which both sides start, run once,
-    // before the branch.
+    // The steps of the earlier update, with which both sides of the branch
+    // start, run once, before the branch.
     formers.push_back(*former);
   }
   Context side = context;
@@ -389,7 +394,8 @@ bool SharedUpdate::matchLoop(OpResult result, const Context &context) {
   carried.push_back(result);
   if (!matchValue(serial.getInitArgs()[number], context))
     return false;
-  // An iteration that starts from another value drops the earlier values.
+  // An iteration that starts from a value other than the carried one drops the
+  // earlier values.
   Value former = serial.getRegionIterArg(number);
   Value yielded = serial.getYieldedValues()[number];
   if (findFormer(yielded, serial) != std::optional(former))
@@ -401,16 +407,16 @@ bool SharedUpdate::matchLoop(OpResult result, const Context &context) {
   formers.pop_back();
   if (!matches)
     return false;
-  // The steps inside of the loop, and the branches around them, stay in the
-  // loop.
+  // The operations of the update that are inside of the serial loop, and the
+  // branches around them, remain in the loop.
   SmallVector<Step> inside(std::make_move_iterator(steps.begin() + numSteps),
                            std::make_move_iterator(steps.end()));
   steps.truncate(numSteps);
   totals.truncate(numTotals);
   choices.append(branches.begin() + numBranches, branches.end());
   branches.truncate(numBranches);
-  // A loop that only hands the element on has no step, and possibly the update
-  // has no family of operations yet.
+  // A loop that only hands the element on has no step, and the update possibly
+  // has no kind of operation yet.
   AtomicKind kind = inside.empty() ? AtomicKind::Add : *family;
   if (isExtremum(kind)) {
     kind = inside.front().kind;
@@ -446,7 +452,7 @@ bool SharedUpdate::matchChosen() {
   return true;
 }
 
-/// True if only the store uses the former value.
+/// True if only the store uses the former value of the element.
 bool SharedUpdate::isOnlyUsedHere() {
   auto isOurResult = [&](Value value) {
     return llvm::is_contained(
@@ -481,10 +487,11 @@ bool SharedUpdate::isOnlyUsedHere() {
 }
 
 /// True if nothing writes to the element between the loads and the store, and
-/// the indices are computed before each step.
+/// the indices of the element are computed before each step.
 bool SharedUpdate::isUndisturbed() {
   const void *key = getStorageKey(store);
-  // Different components are different memory, whatever the indices are.
+  // Accesses to different components reach different memory, whatever the
+  // indices of the element are.
   auto isElsewhere = [&](DifferentiableAccessInterface access) {
     return !store.getAccessComponents().empty() &&
            !access.getAccessComponents().empty() &&
@@ -555,7 +562,7 @@ bool SharedUpdate::match() {
 // Rewriting
 //===----------------------------------------------------------------------===//
 
-/// Converts `value` to the type of the element.
+/// Converts `value` to the type of the element that the update changes.
 Value SharedUpdate::convert(OpBuilder &b, Location loc, Value value) {
   Type type = store.getAccessedValue().getType();
   if (value.getType() == type)
@@ -623,8 +630,8 @@ void SharedUpdate::emit(OpBuilder &b, Location loc, const Step &step) {
                               place.getAccessIndices());
 }
 
-/// Joins steps that follow each other in one expression: `v + a + b` is one
-/// addition of a + b.
+/// Joins steps of an update that follow each other in one expression: `v + a +
+/// b` is one addition of a + b.
 static void joinSteps(SmallVectorImpl<Step> &steps) {
   SmallVector<Step> joined;
   for (Step &step : steps) {
@@ -642,7 +649,8 @@ static void joinSteps(SmallVectorImpl<Step> &steps) {
     }
     OpBuilder b(step.at);
     Location loc = step.at->getLoc();
-    // +a and -b join to a - b, -a and -b to -(a + b).
+    // Terms with signs are joined: +a and -b become a - b, -a and -b become -(a
+    // + b).
     bool isSum = kind == AtomicKind::Add;
     if (isSum && before->kind != step.kind) {
       Value plus = before->kind == AtomicKind::Add ? before->value : step.value;
@@ -681,8 +689,9 @@ void SharedUpdate::rewrite() {
     });
   else
     store->erase();
-  // The results of these branches have no users any more: they yield zeros, so
-  // that the former value has no user either.
+  // The results of these branches have no users any more. The branches yield
+  // zeros from now on, so that the former value of the element has no user
+  // either.
   for (OpResult result : branches) {
     auto branch = cast<scf::IfOp>(result.getOwner());
     for (Region *region : branch.getRegions()) {
@@ -720,7 +729,8 @@ void SharedUpdate::rewrite() {
         llvm::find_if(dead, [](Operation *op) { return op->use_empty(); });
     if (unused == dead.end())
       break;
-    // Erasing a branch also erases the ops inside of it: drop them from `dead`.
+    // Erasing a branch also erases the ops inside of it, so these are dropped
+    // from `dead` first.
     Operation *op = *unused;
     llvm::erase_if(dead,
                    [&](Operation *other) { return op->isAncestor(other); });

@@ -22,8 +22,8 @@ namespace mlir::tai {
 /// True if all iterations that execute `store` store the same value.
 bool storesTheSame(DifferentiableAccessInterface store, ParallelForOp loop);
 
-/// The kind of atomic that performs the operation of `op`; nullopt if there is
-/// none.
+/// Returns the kind of atomic that performs the operation of `op`; nullopt if
+/// there is none.
 std::optional<AtomicKind> getAtomicKind(Operation *op);
 
 /// The conditions under which a part of an expression is taken.
@@ -35,22 +35,23 @@ struct Context {
   SmallVector<std::pair<Value, bool>, 1> conditions;
 };
 
-/// One atomic that an update becomes.
+/// One step of an update, which becomes one atomic.
 struct Step {
-  /// The op before which the atomic is emitted.
+  /// The op before which the atomic of the step is emitted.
   Operation *at;
   AtomicKind kind;
   Value value;
-  /// The type in which the program combines, which may differ from the
-  /// element's.
+  /// The type in which the program combines the terms, which may differ from
+  /// the element's type.
   Type type;
-  /// The atomic runs where each condition has the given truth value.
+  /// The conditions under which the atomic runs, and the truth value that each
+  /// of them must have.
   SmallVector<std::pair<Value, bool>, 1> conditions;
-  /// An access to the element, whose indices are computed before `at`.
+  /// An access to the updated element, whose indices are computed before `at`.
   DifferentiableAccessInterface place = {};
 };
 
-/// A select whose comparison says that it is a minimum or a maximum.
+/// A select that is recognised by its comparison as a minimum or a maximum.
 struct Extremum {
   AtomicKind kind;
   /// value: the side of the select that does not depend on the element. old:
@@ -58,11 +59,12 @@ struct Extremum {
   Value value, old;
 };
 
-/// A store that may be an update of its element.
+/// A store that may be an update: it stores a value computed from the old value
+/// of its element.
 class SharedUpdate {
 public:
-  /// `accesses` are all accesses of the loop, `reads` its reads of the storage
-  /// that the store writes.
+  /// Analyses `store`. `accesses` are all accesses of the loop, `reads` those
+  /// of its reads that go to the storage that the store writes.
   SharedUpdate(DifferentiableAccessInterface store, ParallelForOp loop,
                ArrayRef<DifferentiableAccessInterface> accesses,
                ArrayRef<DifferentiableAccessInterface> reads,
@@ -70,12 +72,14 @@ public:
       : store(store), loop(loop), same(same), old(store, loop, reads, same),
         safeReads(store, loop, same, accesses) {}
 
-  /// True if the stored value, or whether it is stored, depends on the element.
+  /// True if the stored value, or the condition under which it is stored,
+  /// depends on the old value of the element.
   bool readsElement();
   /// Finds the steps of the update; false if the store is not an update of a
   /// supported form.
   bool match();
-  /// The operation that all steps of the update have in common.
+  /// The kind of operation (addition, product, minimum and so on) that all
+  /// steps of the update have in common.
   AtomicKind getFamily() const { return *family; }
   void rewrite();
 
@@ -110,21 +114,23 @@ private:
   /// The op by which the program extends the element to a wider type, if any.
   std::optional<OperationName> extension;
   SmallVector<Step> steps;
-  /// Ops between the loads of the element and the store, which must have no
+  /// The ops between the loads of the element and the store, which must have no
   /// other use.
   llvm::SetVector<Operation *> path;
-  /// Results of branches between the loads and the store.
+  /// Results of branches on the path from the loads of the element to the
+  /// store.
   SmallVector<OpResult> branches;
-  /// Results of serial loops between the loads and the store.
+  /// Results of serial loops on the path from the loads of the element to the
+  /// store.
   SmallVector<OpResult> carried;
-  /// Results of the outermost serial loops between the loads and the store, and
-  /// the kinds of the totals that these loops will carry.
+  /// Results of the outermost serial loops on the path from the loads to the
+  /// store, and the kinds of the totals that these loops will carry.
   SmallVector<std::pair<OpResult, AtomicKind>> totals;
   /// Values of the element before the branches and loops that are being
   /// matched; the steps up to these values have been found already.
   SmallVector<Value> formers;
   /// A minimum or maximum under conditions that replaces the store, in addition
-  /// to the steps, and its kind.
+  /// to the steps; and its kind.
   std::optional<ChosenExtremum> chosen;
   AtomicKind chosenKind = AtomicKind::Min;
   /// Results of branches between the loads and the store that stay, or that

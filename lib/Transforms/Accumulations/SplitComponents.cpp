@@ -36,7 +36,7 @@ namespace {
 /// A component of a stored vector.
 struct Component {
   Position position;
-  /// The new value; null if the component keeps its value.
+  /// The new value of the component; null if the component keeps its value.
   Value value;
 };
 
@@ -65,7 +65,7 @@ private:
 };
 } // namespace
 
-/// Whether the vector is loaded from the element that the store writes.
+/// True if the vector is loaded from the same element that the store writes.
 bool ComponentSplitter::isOld(Value vector, StoreOp store) const {
   auto load = vector.getDefiningOp<LoadOp>();
   return load && load.getFieldAttr() == store.getFieldAttr() &&
@@ -73,9 +73,9 @@ bool ComponentSplitter::isOld(Value vector, StoreOp store) const {
          same.areEqual(load.getIndices(), store.getIndices());
 }
 
-/// Finds the value of a component of a vector that inserts and lists of
-/// elements build; null if the component is that of the base. False if another
-/// op has built the vector.
+/// Finds the value of a component of a vector that insertions and lists of
+/// elements build; null if the component is the one of the original vector.
+/// False if another op has built the vector.
 bool ComponentSplitter::find(Value vector, Component &component,
                              llvm::function_ref<bool(Value)> isBase) const {
   if (isBase(vector))
@@ -104,15 +104,16 @@ bool ComponentSplitter::find(Value vector, Component &component,
   return true;
 }
 
-/// Skips insertions: the vector into which components were inserted.
+/// Skips insertions of components: returns the vector into which components
+/// were inserted.
 static Value skipInserts(Value vector) {
   while (auto insert = vector.getDefiningOp<vector::InsertOp>())
     vector = insert.getDest();
   return vector;
 }
 
-/// The vector that inserts have changed: the loaded vector, or the carried
-/// vector at the beginning of an iteration. Null for other vectors.
+/// Returns the vector that insertions have changed: the loaded vector, or the
+/// carried vector at the beginning of an iteration. Null for other vectors.
 Value ComponentSplitter::findBase(Value vector, StoreOp store) const {
   vector = skipInserts(vector);
   return isOld(vector, store) || begins.contains(vector) ? vector : Value();
@@ -130,8 +131,8 @@ void ComponentSplitter::splitCarried(Value vector, StoreOp store) {
     splitLoop(result, store);
 }
 
-/// Makes an scf.if yield the components that one of its sides changes. After
-/// the scf.if, these are inserted into the former vector.
+/// Makes an scf.if yield those components that one of its sides changes. After
+/// the scf.if, the components are inserted into the former vector.
 void ComponentSplitter::splitBranches(OpResult vector, StoreOp store) {
   auto branches = cast<scf::IfOp>(vector.getOwner());
   unsigned number = vector.getResultNumber();
@@ -144,8 +145,8 @@ void ComponentSplitter::splitBranches(OpResult vector, StoreOp store) {
     Value found = findBase(yield.getOperand(number), store);
     if (!found)
       continue;
-    // An iteration of a serial loop may begin with another vector than the
-    // loaded one.
+    // An iteration of a serial loop may begin with a vector other than the
+    // loaded one, in which case the branch is not split.
     if (old && old != found && (begins.contains(old) || begins.contains(found)))
       return;
     Operation *load = found.getDefiningOp();
@@ -213,8 +214,9 @@ void ComponentSplitter::splitBranches(OpResult vector, StoreOp store) {
   branches.erase();
 }
 
-/// Makes a serial loop carry the components that an iteration changes. Inside
-/// of the loop and after it, these are inserted into the former vector.
+/// Makes a serial loop carry those components that an iteration changes. Inside
+/// of the loop and after it, the components are inserted into the former
+/// vector.
 void ComponentSplitter::splitLoop(OpResult vector, StoreOp store) {
   auto serial = cast<scf::ForOp>(vector.getOwner());
   unsigned number = vector.getResultNumber();
@@ -262,8 +264,8 @@ void ComponentSplitter::splitLoop(OpResult vector, StoreOp store) {
   rewriter.setInsertionPointAfter(made);
   made.getResult(number).replaceAllUsesWith(
       insertAll(made.getResults().take_back(changed.size())));
-  // The loop still carries the vector, which has no use any more: let it begin
-  // with zero, which reads no element.
+  // The loop still carries the vector, which has no use any more. The vector
+  // now begins with zero, which reads no element.
   made.getBody()->getTerminator()->setOperand(number, carried);
   rewriter.setInsertionPoint(made);
   made.getInitArgsMutable()[number].assign(arith::ConstantOp::create(
@@ -277,7 +279,8 @@ static SmallVector<Value> makeIndices(OpBuilder &builder, Location loc,
   });
 }
 
-/// Makes `extract` read the vector before the insertions of other components.
+/// Makes `extract` read the vector as it was before the insertions of other
+/// components.
 static void lookThroughInserts(vector::ExtractOp extract) {
   while (auto insert = extract.getSource().getDefiningOp<vector::InsertOp>()) {
     if (insert.hasDynamicPosition() ||
@@ -303,8 +306,8 @@ void ComponentSplitter::split(StoreOp store) {
     if (component.value)
       components.push_back(std::move(component));
   }
-  // The store of the vector also overwrites other writes to components that
-  // keep their value.
+  // If components keep their value, the store of the whole vector also
+  // overwrites other writes to these components.
   if (writes.lookup(getStorageKey(store)) != 1 &&
       static_cast<int64_t>(components.size()) != type.getNumElements())
     return;
@@ -378,7 +381,8 @@ void ComponentSplitter::run() {
   }
   for (LoadOp load : old)
     split(load);
-  // Erase unused loads and vectors, which would count as reads of the element.
+  // Unused loads and vectors are erased, because they would count as reads of
+  // the element.
   bool changed = !old.empty();
   while (changed) {
     changed = false;

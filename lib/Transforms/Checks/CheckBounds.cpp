@@ -27,14 +27,15 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Writes preconditions at the top of a kernel.
+/// Writes bounds checks as preconditions at the top of a kernel.
 class PreconditionWriter {
 public:
   PreconditionWriter(KernelOp kernel, IndexBounds &bounds)
       : bounds(bounds),
         builder(OpBuilder::atBlockBegin(&kernel.getBody().front())) {}
 
-  /// Refuses launches in which index `number` of the access is out of range.
+  /// Emits a precondition that refuses launches in which index `number` of the
+  /// access is out of range.
   void refuse(const IndexedAccess &access, size_t number,
               const Violation &violation);
 
@@ -53,15 +54,16 @@ private:
   OpBuilder builder;
   Location loc = builder.getUnknownLoc();
   IRMapping clones;
-  /// Values of variables, as i64. `iteration` has the loop variables of an
-  /// example of one violation.
+  /// Values of the variables of the index forms, as i64. `iteration` has the
+  /// loop variables of an example of one violation.
   llvm::DenseMap<unsigned, Value> launchValues, iteration;
-  /// Systems of inequalities for which launches are refused already.
+  /// Systems of inequalities whose launches are refused by preconditions
+  /// already.
   SmallVector<LinearSystem> refused;
 };
 } // namespace
 
-/// Computes, at the top of the kernel, a value that depends on arguments alone.
+/// Emits, at the top of the kernel, a value that depends on arguments alone.
 Value PreconditionWriter::clone(Value value) {
   Operation *op = value.getDefiningOp();
   if (!op)
@@ -158,7 +160,8 @@ Value PreconditionWriter::emitLeast(const Violation::Step &step) {
     int64_t factor = row.getFactor(step.variable);
     if (factor <= 0)
       continue;
-    // factor x + rest >= 0: x is at least -floor(rest / factor).
+    // The inequality factor x + rest >= 0 holds if x is at least -floor(rest /
+    // factor).
     LinearSum rest = row.plus(LinearSum::variable(step.variable), -factor);
     Value bound;
     if (factor == 1) {

@@ -41,7 +41,7 @@ static bool isDivision(Operation *op) {
          isa<arith::DivUIOp, arith::RemUIOp, arith::CeilDivUIOp>(op);
 }
 
-/// The error message "the smallest i32 is divided by -1, and ...".
+/// Returns the error message "the smallest i32 is divided by -1, and ...".
 static std::string describeOverflow(Type type) {
   std::string text;
   llvm::raw_string_ostream(text)
@@ -64,7 +64,8 @@ public:
 private:
   Value constant(const APInt &value);
   Value equals(Value value, const APInt &to);
-  /// In debug mode, reports `message` where the condition `broken` holds.
+  /// In debug mode, makes the kernel report `message` where the condition
+  /// `broken` holds.
   void check(Value broken, StringRef message);
 
   Operation *op;
@@ -137,7 +138,8 @@ LogicalResult Guard::run() {
                          .getResult()
                    : isOverflow;
   }
-  // Division by one keeps the smallest integer, and has remainder zero.
+  // Where the division is unsafe, its divisor becomes one: the quotient is then
+  // the dividend, such as the smallest integer, and the remainder zero.
   op->setOperand(1, arith::SelectOp::create(builder, loc, isUnsafe,
                                             constant(one), op->getOperand(1)));
   // A remainder by one is zero already.

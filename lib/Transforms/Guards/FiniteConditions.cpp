@@ -37,7 +37,8 @@ bool mlir::tai::keepsNonFinite(OpOperand &use) {
   Operation *op = use.getOwner();
   if (isa<math::AbsFOp, math::SqrtOp, math::LogOp, math::Log2Op, math::Log10Op,
           math::Log1pOp, NormOp, DeterminantOp, TraceOp>(op))
-    // A trace drops the elements off the diagonal; the other ops drop none.
+    // A trace drops the elements off the diagonal of its operand; the other ops
+    // drop none.
     return !isa<TraceOp>(op);
   return passesOn(use) && !isa<arith::SelectOp, vector::ExtractOp,
                                vector::InsertOp, vector::ToElementsOp>(op);
@@ -53,7 +54,7 @@ int64_t mlir::tai::countComponents(ArrayRef<Value> values) {
   return count;
 }
 
-/// Combines values in pairs, as a tree, to keep chains of dependences short.
+/// Combines values by twos, as a tree, to keep chains of dependences short.
 static Value createTree(SmallVector<Value> values,
                         function_ref<Value(Value, Value)> create) {
   while (values.size() > 1) {
@@ -104,7 +105,8 @@ Value mlir::tai::createTestOfFinite(OpBuilder &builder, Location loc,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Finds the values of a guarded product that depend on the guard's seed.
+/// Finds the values of a guarded product that depend on the adjoint which the
+/// guard tests.
 class Product {
 public:
   explicit Product(arith::SelectOp guard)
@@ -148,8 +150,8 @@ static bool isDivisorOfNorm(OpOperand &use) {
   return getTestedForZero(select) == norm;
 }
 
-/// Requires that the factors of the seed in the guard's product are finite, and
-/// its divisors far from zero.
+/// Requires that the factors of the adjoint in the guard's product are finite,
+/// and its divisors far from zero.
 bool FiniteConditions::requirePartial(arith::SelectOp guard) {
   Product product(guard);
   Value result = guard.getFalseValue();
@@ -180,7 +182,7 @@ bool FiniteConditions::requirePartial(arith::SelectOp guard) {
   return true;
 }
 
-/// Requires that the values on which `value` depends are finite, where they
+/// Requires that those values are finite on which `value` depends and which
 /// come from iterations or from outside of the block.
 bool FiniteConditions::requireSeeds(Value value, Block &block) {
   if (!isFloatOrVector(value.getType()) || !followed.insert(value).second)
@@ -226,14 +228,15 @@ bool FiniteConditions::require(arith::SelectOp guard, Block &block) {
              : requirePartial(guard);
 }
 
-/// Whether a value is not analyzed further: it is read from memory, or it is an
+/// True if a value is not analyzed further: it is read from memory, or it is an
 /// argument of a block or a result of an op with regions.
 static bool isLeaf(Value value) {
   Operation *op = value.getDefiningOp();
   return !op || op->getNumRegions() != 0 || !isMemoryEffectFree(op);
 }
 
-/// Ops that are finite where their operands are, but for overflows.
+/// True for ops whose results are finite if their operands are, apart from
+/// overflow.
 static bool isFiniteOfFinite(Operation *op) {
   return isa<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::MulFOp,
              math::FmaOp, vector::FMAOp, arith::ExtFOp, arith::TruncFOp,
@@ -288,8 +291,8 @@ bool FiniteConditions::requireFinite(Value value, Operation *at) {
   }
   if (matchPattern(op, m_Constant()))
     return !facts.mayBeNonFinite(value);
-  // A guarded product whose own conditions hold is finite if its seed is. The
-  // seed may come from guards before this part.
+  // A guarded product whose own conditions hold is finite if its adjoint factor
+  // is. This factor may come from guards before this part of the block.
   if (isGuard(op))
     return requireSeeds(value, *scope);
   if (auto extract = dyn_cast<vector::ExtractOp>(op);
@@ -305,7 +308,8 @@ bool FiniteConditions::requireFinite(Value value, Operation *at) {
     finite.insert(value);
     return true;
   }
-  // The product of two large numbers may overflow: test the product itself.
+  // The product of two large numbers may overflow, so the product itself is
+  // tested.
   if (isa<arith::MulFOp>(op) && !isa<VectorType>(value.getType()) &&
       facts.mayBeNonFinite(value) &&
       !llvm::any_of(op->getOperands(), [](Value operand) {
@@ -351,8 +355,8 @@ bool FiniteConditions::requireClear(Value value, Operation *at,
   if (facts.isNonZero(value, at) || isNormOrNumber(value))
     return requireFinite(value, at);
   Operation *op = value.getDefiningOp();
-  // An op that yields values at least as far from zero as its operand: require
-  // that the operand is far enough from zero.
+  // Some ops yield values at least as far from zero as their operand, so the
+  // operand is required to be far enough from zero.
   if (isa_and_nonnull<vector::BroadcastOp>(op))
     return requireClear(op->getOperand(0), at, isPositive);
   if (auto root = dyn_cast_if_present<math::SqrtOp>(op)) {
@@ -378,7 +382,8 @@ DenseSet<Value> FiniteConditions::findNonZero() const {
     Value value = pending.pop_back_val();
     if (!result.insert(value).second)
       continue;
-    // If the result of one of these ops is not zero, no operand is zero.
+    // If the result of one of these ops is not zero, no operand is zero, so the
+    // operands need no test.
     Operation *op = value.getDefiningOp();
     if (isa_and_nonnull<arith::MulFOp, arith::NegFOp, vector::BroadcastOp,
                         math::SqrtOp, math::AbsFOp>(op))
@@ -387,7 +392,7 @@ DenseSet<Value> FiniteConditions::findNonZero() const {
   return result;
 }
 
-/// Whether tests show for each component of a vector that it is finite.
+/// True if other tests show for each component of a vector that it is finite.
 bool FiniteConditions::areComponentsTold(Value value) {
   auto type = dyn_cast<VectorType>(value.getType());
   if (!type)
@@ -444,14 +449,16 @@ void FiniteConditions::replaceClear(function_ref<bool(Value)> isAvailable) {
       continue;
     }
     kept.push_back(value);
-    // The least of several values does not show that one of them is NaN.
+    // The least of several values does not show that one of them is NaN, so
+    // these values are also tested to be finite.
     finite.insert(value);
   }
   clear.clear();
   clear.insert_range(kept);
 }
 
-/// Replaces several values by one result that is finite only if they are.
+/// Replaces tests of several values by a test of one result that is finite only
+/// if all of them are.
 bool FiniteConditions::replaceBySum(function_ref<bool(Value)> isAvailable) {
   constexpr unsigned mostSteps = 6, most = 100;
   if (finite.size() > most)
@@ -515,7 +522,7 @@ void FiniteConditions::simplify(function_ref<bool(Value)> isAvailable) {
 Value FiniteConditions::createTest(OpBuilder &builder, Location loc,
                                    function_ref<bool(Value)> isIncluded) {
   SmallVector<Value> sums = llvm::filter_to_vector(finite, isIncluded);
-  // The size test of a single value includes finiteness, too.
+  // The test of the size of a single value also tests that the value is finite.
   bool isSingle = sums.size() == 1 && isa<FloatType>(sums[0].getType()) &&
                   llvm::filter_to_vector(clear, isIncluded) == sums;
   Value all = isSingle ? Value() : createTestOfFinite(builder, loc, sums);

@@ -27,18 +27,18 @@ inline bool isGuard(Operation *op) {
          (op->hasAttr(kGuard) || op->hasAttr(kInfiniteGuard));
 }
 
-/// Whether the op propagates a non-finite component of the operand to its
-/// result, unless it drops that component.
+/// True if the op propagates a non-finite component of the operand to its
+/// result, unless the op drops that component.
 bool passesOn(OpOperand &use);
 
-/// Whether the op propagates every non-finite component of the operand to its
-/// result: none is dropped.
+/// True if the op propagates every non-finite component of the operand to its
+/// result and drops none.
 bool keepsNonFinite(OpOperand &use);
 
 int64_t countComponents(ArrayRef<Value> values);
 
-/// Emits an i1: whether all components of the values are finite. Null for an
-/// empty list.
+/// Emits an i1 that is true if all components of the values are finite. Null
+/// for an empty list.
 Value createTestOfFinite(OpBuilder &builder, Location loc,
                          ArrayRef<Value> values);
 
@@ -53,23 +53,24 @@ public:
   /// False if no sufficient conditions of the guard are known.
   bool require(arith::SelectOp guard, Block &block);
 
-  /// Drops implied conditions, and replaces tests of several operands by a test
-  /// of their result, if that is available.
+  /// Drops conditions that follow from others, and replaces tests of several
+  /// operands by a test of their result, if that is available.
   void simplify(function_ref<bool(Value)> isAvailable);
 
-  /// Values of which every component must be finite.
+  /// The values of which every component must be finite.
   ArrayRef<Value> getFinite() const { return finite.getArrayRef(); }
-  /// Values of which every component must be far enough from zero to divide by.
+  /// The values of which every component must be far enough from zero to divide
+  /// by it.
   ArrayRef<Value> getClear() const { return clear.getArrayRef(); }
-  /// Values that are not zero where the conditions hold.
+  /// Finds the values that are not zero where the conditions hold.
   DenseSet<Value> findNonZero() const;
   /// The number of components of values that the conditions test.
   int64_t count() const {
     return countComponents(getFinite()) + countComponents(getClear());
   }
 
-  /// Emits an i1: whether the conditions on values with `isIncluded` hold. Null
-  /// if there are none.
+  /// Emits an i1 that is true if the conditions on values with `isIncluded`
+  /// hold. Null if there are no such conditions.
   Value createTest(OpBuilder &builder, Location loc,
                    function_ref<bool(Value)> isIncluded);
 
@@ -87,8 +88,9 @@ private:
 
   FloatFacts facts = FloatFacts(/*usesConditions=*/true);
   llvm::SetVector<Value> finite, clear;
-  /// Subsets of `clear`. positive: values that are non-negative if the other
-  /// conditions hold. strict: values for which it is not enough to be non-zero.
+  /// Subsets of the values that must be far from zero. positive: values that
+  /// are non-negative if the other conditions hold. strict: values for which it
+  /// is not enough to be non-zero.
   DenseSet<Value> positive, strict;
   DenseSet<Value> required, cleared, followed;
   DenseSet<Operation *> apart;

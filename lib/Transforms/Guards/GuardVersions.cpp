@@ -29,8 +29,8 @@ static void sinkInto(Block *to, Operation *branch) {
 scf::IfOp tai::createVersions(Operation *begin, Value condition,
                               IRMapping &bare, ArrayRef<Operation *> own) {
   Block &block = *begin->getBlock();
-  // Both branches get all of the rest of the block: otherwise its results would
-  // be live until the test is made.
+  // Both branches get all of the rest of the block. Otherwise the results of
+  // the rest would be live until the test is made.
   Operation *terminator = block.getTerminator();
   SetVector<Operation *> moved(own.begin(), own.end());
   SmallVector<Operation *> tail;
@@ -71,7 +71,7 @@ scf::IfOp tai::createVersions(Operation *begin, Value condition,
     op->moveBefore(yield);
   for (Operation *op : tail)
     op->moveBefore(yield);
-  // Ops that only one of the blocks uses move into it.
+  // Ops that only one of the two versions uses move into it.
   sinkInto(guarded, branch);
   sinkInto(fast, branch);
   return branch;
@@ -87,7 +87,7 @@ Value tai::markLikely(OpBuilder &builder, Value condition) {
 // Tests before the guards
 //===----------------------------------------------------------------------===//
 
-/// Whether nothing but conditions of guards uses the op.
+/// True if only the conditions of guards use the op.
 static bool isForConditions(Operation *op, DenseMap<Operation *, bool> &known) {
   if (op->use_empty() || !isMovable(op))
     return false;
@@ -109,7 +109,8 @@ bool tai::hasGuardsInside(Operation &op) {
                                       }).wasInterrupted();
 }
 
-/// False if there are loops, or too many ops to have two copies.
+/// Finds the guards of the block. False if there are loops, or too many ops to
+/// have two copies.
 bool EarlyTest::findGuards() {
   constexpr size_t most = 2000;
   DenseMap<Operation *, bool> known;
@@ -136,7 +137,7 @@ bool EarlyTest::findGuards() {
   return !guards.empty();
 }
 
-/// Whether a value is computed before the first guard, or can be.
+/// True if a value is computed before the first guard, or can be.
 bool EarlyTest::canComeEarly(Value value) {
   Operation *around = value.getParentBlock()->findAncestorOpInBlock(*first);
   Operation *op = value.getDefiningOp();
@@ -174,8 +175,8 @@ void EarlyTest::moveEarly(Value value) {
   op->moveBefore(first);
 }
 
-/// Lets the versions begin as soon as the test can be made: LLVM makes vectors
-/// of floats of one block, but not of two.
+/// Moves the begin of the versions to where the test can be made: LLVM makes
+/// vectors of floats of one block, but not of two.
 void EarlyTest::moveBegin() {
   DenseSet<Operation *> needed;
   for (Value value : conditions.getFinite())

@@ -35,14 +35,14 @@ Value markLikely(OpBuilder &builder, Value condition);
 scf::IfOp createVersions(Operation *begin, Value condition, IRMapping &bare,
                          ArrayRef<Operation *> own);
 
-/// Versions all guards of a block by a test of the operands of their partial
-/// derivatives.
+/// Makes two versions of a block, with and without its guards, and selects one
+/// by a test of the operands of the partial derivatives.
 class EarlyTest {
 public:
   explicit EarlyTest(Block &block)
       : block(block), scope(block), begin(block.begin()) {}
-  /// For the block's own guards from `begin` to the next op with guards in its
-  /// regions. `apart` are ops before `begin`, in `scope`, whose results are
+  /// Collects the block's own guards from `begin` to the next op with guards in
+  /// its regions. `apart` are ops before `begin`, in `scope`, whose results are
   /// tested.
   EarlyTest(Block &block, Block &scope, Block::iterator begin,
             const DenseSet<Operation *> &apart)
@@ -50,7 +50,7 @@ public:
     conditions.setApart(apart);
   }
   bool run();
-  /// After run(): the block of the version without these guards.
+  /// The block of the version without guards, after run().
   Block &getBare() { return *bareBlock; }
 
 private:
@@ -66,7 +66,7 @@ private:
   Block *bareBlock = nullptr;
   /// Guards whose results have other users than conditions of guards.
   SmallVector<arith::SelectOp> guards;
-  /// The first op in the block that is or has a guard.
+  /// The first op in the block that is a guard or contains one.
   Operation *first = nullptr;
   size_t numOps = 0;
   FiniteConditions conditions;

@@ -60,16 +60,16 @@ private:
   Block &block;
   Operation *end;
   SmallVector<Operation *> ops, guards;
-  /// Ops that only conditions of guards use; ops that depend on a guard, in
+  /// Ops that only conditions of guards use; and ops that depend on a guard, in
   /// program order.
   llvm::SetVector<Operation *> conditions, dependents;
-  /// Results of `dependents` that other ops use.
+  /// Results of the ops that depend on guards which other ops use.
   SmallVector<Value> results;
 };
 } // namespace
 
 /// Moves pure ops from after `end` before it, as far as their operands allow,
-/// if there is a guard among them or in the segment.
+/// if there is a guard among these ops or in the segment.
 void Segment::hoist(Operation *begin) {
   DenseSet<Operation *> behind;
   SmallVector<Operation *> movable;
@@ -92,7 +92,8 @@ void Segment::hoist(Operation *begin) {
       op->moveBefore(end);
 }
 
-/// Finds the ops whose uses all end in conditions, from the last to the first.
+/// Finds the ops of the segment whose uses all end in conditions of guards,
+/// from the last op to the first.
 void Segment::findConditions() {
   DenseSet<Operation *> inside(ops.begin(), ops.end());
   for (Operation *op : llvm::reverse(ops)) {
@@ -108,7 +109,7 @@ void Segment::findConditions() {
   }
 }
 
-/// Finds the ops that depend on guards, up to `end`; false if one of them may
+/// Finds the ops up to `end` that depend on guards; false if one of them may
 /// hide that a value is not finite.
 bool Segment::findDependents() {
   DenseSet<Operation *> reached(guards.begin(), guards.end());
@@ -159,7 +160,8 @@ SmallVector<Value> Segment::findFactors() {
   return factors.takeVector();
 }
 
-/// Drops the values whose finiteness follows from that of other values.
+/// Drops those values whose finiteness follows from the finiteness of other
+/// values.
 SmallVector<Value> Segment::prune(ArrayRef<Value> values) {
   DenseSet<Value> tested(values.begin(), values.end()), told;
   for (Operation *op : llvm::reverse(ops))
@@ -180,9 +182,9 @@ SmallVector<Value> Segment::prune(ArrayRef<Value> values) {
       values, [&](Value value) { return tested.contains(value); });
 }
 
-/// The values to test at run time: the results of the segment or the operands
-/// of its guards, whichever have fewer components. Either shows that all are
-/// finite.
+/// Chooses the values that are tested at run time: the results of the segment
+/// or the operands of its guards, whichever have fewer components. Either
+/// choice shows that all values are finite.
 SmallVector<Value> Segment::findTested() {
   SmallVector<Value> ofResults = prune(results),
                      ofFactors = prune(findFactors());
@@ -190,7 +192,7 @@ SmallVector<Value> Segment::findTested() {
                                                                  : ofResults;
 }
 
-/// Whether a loop follows in the block, or more than `most` ops.
+/// True if a loop follows in the block, or more than `most` ops.
 bool Segment::hasMoreBehind(size_t most) {
   size_t count = 0;
   for (Operation &op : llvm::make_range(end->getIterator(), block.end())) {
@@ -259,7 +261,7 @@ bool Segment::run(Operation *begin) {
   return true;
 }
 
-/// Whether the op stays in its place, and separates the ops before it from the
+/// True if the op stays in its place, and separates the ops before it from the
 /// ops after it.
 static bool isBarrier(Operation *op) {
   return op->hasTrait<OpTrait::IsTerminator>() || op->getNumRegions() != 0 ||
@@ -268,8 +270,8 @@ static bool isBarrier(Operation *op) {
 
 static void versionGuards(Block &block);
 
-/// Versions the guards of a block, which has some in regions of its ops too, by
-/// a test for each part between these. False if no part can be tested.
+/// Versions the guards of a block that also has guards in regions of its ops,
+/// by a test for each part between these ops. False if no part can be tested.
 static bool versionParts(Block &start) {
   if (llvm::none_of(start, hasGuardsInside))
     return false;

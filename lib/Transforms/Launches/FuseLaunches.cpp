@@ -40,12 +40,12 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// A launch of a kernel that is one parallel loop.
+/// A launch that can be fused: its kernel is one parallel loop.
 struct Candidate {
   LaunchOp launch;
   KernelOp kernel;
   LoopBox box;
-  /// Loads, stores and atomics of the loop.
+  /// The loads, stores and atomic updates in the body of the kernel's loop.
   SmallVector<Operation *> accesses;
 };
 } // namespace
@@ -58,7 +58,7 @@ static bool isDense(Operation *user, FlatSymbolRefAttr name) {
 }
 
 /// Collects the accesses of the loop to dense fields; false if the loop has
-/// other effects.
+/// effects other than these.
 static bool collectAccesses(ParallelForOp loop,
                             SmallVectorImpl<Operation *> &accesses) {
   return !loop.getBody()
@@ -69,8 +69,8 @@ static bool collectAccesses(ParallelForOp loop,
                              ? WalkResult::advance()
                              : WalkResult::interrupt();
                 }
-                // Local variables belong to one iteration, so their accesses
-                // have no effect outside.
+                // Local variables belong to one iteration, so accesses to them
+                // have no effect outside of it.
                 if (isa<AllocaOp, LocalLoadOp, LocalStoreOp, scf::ForOp,
                         scf::IfOp, scf::WhileOp>(op))
                   return WalkResult::advance();
@@ -84,7 +84,8 @@ static bool collectAccesses(ParallelForOp loop,
 static std::optional<Candidate> getCandidate(LaunchOp launch,
                                              SymbolTable &symbols) {
   auto kernel = symbols.lookup<KernelOp>(launch.getKernel());
-  // Launches under a tape are differentiated one by one.
+  // Launches under a tape are not fused, because they are differentiated one by
+  // one.
   if (!kernel || kernel.isExternal() || launch.getNumResults() != 0 ||
       launch->getParentWithTrait<RecordsLaunches>() ||
       llvm::any_of(kernel.getArgumentTypes(),
@@ -117,8 +118,8 @@ static ValueRange getIndices(Operation *access) {
       .Case<LoadOp, StoreOp, AtomicOp>([](auto op) { return op.getIndices(); });
 }
 
-/// The form with the operands of the launch in place of the kernel's arguments,
-/// and `ivs` in place of its induction variables.
+/// Returns the index form with the operands of the launch in place of the
+/// kernel's arguments, and `ivs` in place of its induction variables.
 static IndexExpr translate(const IndexExpr &form, Candidate &from,
                            ValueRange ivs) {
   return form.substitute([&](Value value) -> std::optional<IndexExpr> {
@@ -140,8 +141,8 @@ static bool isSum(Operation *access) {
           atomic.getKind() == AtomicKind::Sub);
 }
 
-/// True if accesses `a` and `b` never reach one element in different iterations
-/// of the two loops, or if their order does not matter.
+/// True if the accesses `a` and `b` never reach one element in different
+/// iterations of the two loops, or if their order does not matter.
 static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
                            Operation *b) {
   if (getStorageKey(a) != getStorageKey(b) ||
@@ -168,7 +169,8 @@ static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
     if (isFixed && areDistinct(one, other))
       return true;
   }
-  // A dimension with one iteration need not tell iterations apart.
+  // A dimension with one iteration need not tell iterations apart, so it is
+  // left out.
   SmallVector<Value> running;
   for (auto [d, iv] : llvm::enumerate(ivs))
     if (second.box.upper[d] - second.box.lower[d] > 1)
@@ -194,8 +196,8 @@ static bool canFuse(Candidate &first, Candidate &second) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The value of an argument of the second kernel in the fused kernel: an
-/// argument of the fused kernel plus a constant.
+/// Describes an argument of the second kernel in the fused kernel: an argument
+/// of the fused kernel plus a constant.
 struct Source {
   unsigned argument;
   int64_t difference = 0;
@@ -299,7 +301,8 @@ static LaunchOp fuse(Candidate &first, Candidate &second,
     }
     other.map(argument, value);
   }
-  // The code before the loops, then one loop with both bodies.
+  // The fused kernel consists of the code before the loops, then one loop with
+  // both bodies.
   for (Operation &op : second.kernel.getBody().front().without_terminator())
     if (&op != second.box.loop)
       builder.clone(op, other);
@@ -319,8 +322,8 @@ static LaunchOp fuse(Candidate &first, Candidate &second,
     other.map(from, to);
   for (Operation &op : second.box.loop.getBody().front().without_terminator())
     builder.clone(op, other);
-  // In the fused loop, the element of an exclusive atomic may belong to several
-  // iterations.
+  // In the fused loop, several iterations may reach the element of an atomic
+  // that was exclusive.
   loop.walk([](AtomicOp atomic) { atomic.setExclusive(false); });
   reuseStoredValues(iteration);
 
@@ -353,7 +356,8 @@ struct FuseLaunches : tai::impl::FuseLaunchesBase<FuseLaunches> {
     for (Operation &op : llvm::make_early_inc_range(block)) {
       auto launch = dyn_cast<LaunchOp>(op);
       if (!launch) {
-        // Arithmetic of the host can also run before the first launch.
+        // Host arithmetic between the launches can also run before the first
+        // launch.
         if (op.getNumRegions() != 0 || !isMemoryEffectFree(&op))
           last.reset();
         continue;
@@ -371,7 +375,8 @@ struct FuseLaunches : tai::impl::FuseLaunchesBase<FuseLaunches> {
       last = getCandidate(fused, symbols);
       made.insert(symbols.lookup(fused.getKernel()));
       ++numFused;
-      // A fused kernel that was fused again is no longer launched.
+      // A fused kernel that was itself fused with another one is no longer
+      // launched, and is erased.
       if (isTemporary) {
         made.erase(before);
         symbols.erase(before);

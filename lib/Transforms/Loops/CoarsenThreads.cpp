@@ -51,27 +51,28 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The bytes that a thread reads and writes at once.
+/// The number of bytes that a thread reads and writes by one vector access.
 constexpr int64_t kVectorBytes = 16;
 /// The number of iterations of a tile, which one or several blocks run.
 constexpr int64_t kTileSize = 256;
 constexpr int64_t kWidestTile = 32, kNarrowestTile = 8;
-/// The maximal number of loads of an iteration: more values in flight would
-/// take the registers of other threads.
+/// The most loads in an iteration: more values in flight would take the
+/// registers of other threads.
 constexpr int64_t kMaxLoads = 16;
 
 namespace {
-/// The strips of one loop.
+/// Describes how a loop is cut into strips, each of which one thread runs.
 struct Strips {
   LoopBox box;
-  /// width: the number of elements of a strip. first: the index of the first
+  /// width: the number of elements in a strip. first: the index of the first
   /// element of the first strip.
   int64_t width = 0, first = 0;
-  /// The number of strips and of rows of a tile; 0 if there are no tiles.
+  /// The number of strips (columns of iterations) and of rows in a tile of
+  /// iterations; 0 if there are no tiles.
   int64_t tileStrips = 0, tileRows = 0;
-  /// The interior, as bounds of each index. In the interior, each condition of
-  /// `answers` has the given value, and the two values of each pair of `same`
-  /// are equal.
+  /// The interior of the loop, as bounds of each index. In the interior, each
+  /// condition of `answers` has the given value, and the two values of each
+  /// pair of `same` are equal.
   SmallVector<int64_t> lower, upper;
   SmallVector<std::pair<Value, bool>> answers;
   SmallVector<std::pair<Value, Value>> same;
@@ -117,7 +118,8 @@ static ValueRange getIndices(Operation *access) {
       .Default([](Operation *) { return ValueRange(); });
 }
 
-/// The loop index that an integer expression depends on, if it is only one.
+/// Returns the loop index that an integer expression depends on, if it depends
+/// on only one.
 static std::optional<unsigned> getVariable(LoopBox &box, Value value) {
   SmallVector<Value> variables;
   if (matchPattern(value, m_Constant()) ||
@@ -127,9 +129,9 @@ static std::optional<unsigned> getVariable(LoopBox &box, Value value) {
   return box.find(variables.front());
 }
 
-/// Narrows the interior to the range in which `condition` is constant, and
-/// returns its value there. Nullopt if large parts of the loop would remain, in
-/// which the condition is evaluated as well.
+/// Narrows the interior of the loop to the range in which `condition` is
+/// constant, and returns its value there. Nullopt if large parts of the loop
+/// would remain, in which the condition is evaluated as well.
 static std::optional<bool> narrow(Strips &strips, Value condition, unsigned k) {
   LoopBox &box = strips.box;
   std::optional<ConstantStretch> stretch = getConstantStretch(
@@ -148,7 +150,7 @@ static std::optional<bool> narrow(Strips &strips, Value condition, unsigned k) {
 static Value chooseExtreme(Strips &strips, Operation *op, unsigned k) {
   bool isMin = isa<arith::MinSIOp>(op);
   OpBuilder builder(op);
-  // A temporary op, for the analysis alone.
+  // This op is temporary, and serves the analysis alone.
   auto isFirst = arith::CmpIOp::create(builder, op->getLoc(),
                                        isMin ? arith::CmpIPredicate::sle
                                              : arith::CmpIPredicate::sge,
@@ -158,7 +160,8 @@ static Value chooseExtreme(Strips &strips, Operation *op, unsigned k) {
   return answer ? op->getOperand(*answer ? 0 : 1) : Value();
 }
 
-/// Finds the interior, and the conditions and extrema that are constant in it.
+/// Finds the interior of the loop, and the conditions and extrema that are
+/// constant in it.
 static void findInterior(Strips &strips) {
   LoopBox &box = strips.box;
   strips.lower = box.lower;
@@ -215,8 +218,8 @@ static std::optional<int64_t> getStride(Operation *access, Strips &strips,
   return stride && *stride < kVectorBytes ? stride : std::nullopt;
 }
 
-/// Chooses the width of a strip. False if consecutive iterations do not access
-/// adjacent elements.
+/// Chooses the number of elements in a strip. False if consecutive iterations
+/// do not access adjacent elements.
 static bool chooseWidth(Strips &strips, FieldTable &fields) {
   LoopBox &box = strips.box;
   int64_t together = 0, apart = 0, smallest = kVectorBytes, origin = 0;
@@ -252,7 +255,7 @@ static bool chooseWidth(Strips &strips, FieldTable &fields) {
          box.upper.back() - lower >= kNarrowestTile * strips.width;
 }
 
-/// True if an iteration reads an element of another row than its own.
+/// True if an iteration reads an element of a row other than its own.
 static bool readsOtherRows(LoopBox &box) {
   Value row = box.ivs().drop_back().back();
   return box.loop.getBody()
@@ -269,7 +272,7 @@ static bool readsOtherRows(LoopBox &box) {
       .wasInterrupted();
 }
 
-/// Chooses a tile size of which few tiles extend past the ends.
+/// Chooses a tile size such that few tiles extend past the ends of the loop.
 static void chooseTile(Strips &strips) {
   if (strips.getRank() < 2 || !readsOtherRows(strips.box))
     return;
@@ -314,8 +317,8 @@ private:
 };
 } // namespace
 
-/// The arm of `branch` that all elements of the strip take; null if they take
-/// different arms.
+/// Returns the arm of `branch` that all elements of the strip take; null if
+/// they take different arms.
 Block *StripBuilder::getTaken(scf::IfOp branch) {
   std::optional<bool> answer;
   for (IRMapping &element : elements) {
@@ -329,7 +332,8 @@ Block *StripBuilder::getTaken(scf::IfOp branch) {
 }
 
 void StripBuilder::clone(Operation &op, IRMapping &element) {
-  // A condition that is constant in the interior has been mapped to its value.
+  // A condition that is constant in the interior has been mapped to its value,
+  // so its op is not copied.
   if (op.getNumResults() == 1 && element.contains(op.getResult(0)))
     return;
   if (Value chosen =
@@ -350,7 +354,8 @@ void StripBuilder::clone(Operation &op, IRMapping &element) {
 void StripBuilder::cloneBlock(Block &block) {
   for (Operation &op : block.without_terminator()) {
     auto branch = dyn_cast<scf::IfOp>(op);
-    // A branch whose condition is constant in each copy has one live arm.
+    // A branch whose condition is constant in each copy of the body has one
+    // live arm.
     if (branch && llvm::all_of(elements, [&](IRMapping &element) {
           return getConstantIntValue(
                      element.lookupOrDefault(branch.getCondition()))
@@ -371,7 +376,7 @@ void StripBuilder::cloneBlock(Block &block) {
   }
 }
 
-/// Adds to `condition` the test that `index` is in [lower, upper).
+/// Combines `condition` with the test that `index` is in [lower, upper).
 static void addRangeTest(IndexMath &math, OpBuilder &builder, Location loc,
                          Value index, int64_t lower, int64_t upper,
                          Value &condition) {
@@ -412,11 +417,12 @@ static void rewrite(Strips &strips) {
       ParallelForOp::create(builder, loc, constants(from), constants(to));
   cut.copyNotesFrom(loop);
 
-  // The indices of the first element of the strip.
+  // These are the loop indices of the first element of the strip.
   builder.setInsertionPointToStart(&cut.getBody().front());
   IndexMath math(builder, loc);
   SmallVector<Value> indices(cut.getInductionVars());
-  // Tiles that extend past the end have additional rows and strips.
+  // Tiles that extend past the end of the loop have additional rows and strips,
+  // which are skipped.
   int64_t lastRow = 0, lastStrip = numStrips;
   if (isTiled) {
     Value strip = indices.pop_back_val(), inTile = indices.pop_back_val();
@@ -467,7 +473,8 @@ static void rewrite(Strips &strips) {
     return;
   }
 
-  // At a border, a loop visits the elements one after another.
+  // At a border of the loop, a serial loop visits the elements of the strip one
+  // after another.
   IndexMath outer(border, loc);
   if (isTiled && lastRow > strips.box.upper[row]) {
     Value isRow = arith::CmpIOp::create(border, loc, arith::CmpIPredicate::slt,
@@ -482,8 +489,8 @@ static void rewrite(Strips &strips) {
   Value end = rest.min(rest.add(indices.back(), rest.constant(strips.width)),
                        rest.constant(strips.box.upper.back()));
   auto each = scf::ForOp::create(border, loc, begin, end, rest.constant(1));
-  // Keep LLVM from unrolling this loop at the border, which it would then merge
-  // with the interior.
+  // LLVM must not unroll this loop at the border, because it would then merge
+  // the loop with the interior.
   MLIRContext *context = loop.getContext();
   auto unroll = LLVM::LoopUnrollAttr::get(
       context, /*disable=*/BoolAttr::get(context, true), {}, {}, {}, {}, {},
@@ -512,7 +519,8 @@ struct CoarsenThreads : tai::impl::CoarsenThreadsBase<CoarsenThreads> {
       return;
     std::optional<FieldTable> fields;
     for (LoopBox &box : findConstantBoxes(getOperation())) {
-      // All targets order these sums by the original iterations, not by strips.
+      // The terms of these sums have the order of the original iterations on
+      // all targets, and strips would change it.
       if (hasCommonTotals(box.loop))
         continue;
       std::optional<int64_t> count = getNumIterations(box.loop);

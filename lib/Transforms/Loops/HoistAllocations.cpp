@@ -27,7 +27,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// An allocation on the host or on a device.
+/// True for an allocation on the host or on a device.
 static bool isAllocation(Operation *op) {
   auto call = dyn_cast<LLVM::CallOp>(op);
   return call &&
@@ -38,8 +38,8 @@ static bool isFree(Operation *op) {
   return call && (call.getCallee() == "free" || call.getCallee() == kLocalFree);
 }
 
-/// The op that frees the memory at the end of the iteration that allocates it,
-/// or null.
+/// Returns the op that frees the memory at the end of the same iteration that
+/// allocates it, or null.
 static Operation *findFree(LLVM::CallOp allocation) {
   Operation *found = nullptr;
   for (Operation *user : allocation.getResult().getUsers()) {
@@ -57,8 +57,8 @@ struct HoistAllocations : tai::impl::HoistAllocationsBase<HoistAllocations> {
   using Base::Base;
 
   void runOnOperation() override {
-    // Inner loops first: an allocation that leaves an inner loop may leave the
-    // next loop as well.
+    // Inner loops come first, because an allocation that leaves an inner loop
+    // may leave the next loop as well.
     walkOwned(getOperation(), [](Operation *owned) {
       owned->walk<WalkOrder::PostOrder>(
           [](scf::ForOp loop) { hoistFrom(loop); });

@@ -28,7 +28,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Emits `iv` shifted by `shift`, which may wrap at the bounds.
+/// Emits the loop index `iv` shifted by `shift`, which may wrap at the bounds.
 static Value createShift(OpBuilder &builder, Location loc, Value iv,
                          IndexShift shift, int64_t lower, int64_t upper) {
   if (shift.isIdentity())
@@ -36,8 +36,8 @@ static Value createShift(OpBuilder &builder, Location loc, Value iv,
   auto constant = [&](int64_t value) -> Value {
     return arith::ConstantIndexOp::create(builder, loc, value);
   };
-  // Indices are far from the limits of their type: `nsw` lets LLVM find
-  // neighbours in memory.
+  // Indices are far from the limits of their type, so the sums get the flag
+  // `nsw`, by which LLVM finds neighbours in memory.
   auto add = [&](int64_t offset) -> Value {
     return arith::AddIOp::create(builder, loc, iv, constant(offset),
                                  arith::IntegerOverflowFlags::nsw);
@@ -70,7 +70,7 @@ struct NormalizeIndices : tai::impl::NormalizeIndicesBase<NormalizeIndices> {
 
 private:
   void normalize(LoopBox &box) {
-    // Index operands share expressions: each expression is replaced once.
+    // Index operands share expressions, so each expression is replaced once.
     llvm::DenseMap<Value, Value> replacements;
     OpBuilder builder(box.loop.getContext());
     builder.setInsertionPointToStart(&box.body());
@@ -90,7 +90,8 @@ private:
     });
   }
 
-  /// Returns `index` as a shift of one loop index, if it is one; else `index`.
+  /// Returns `index` rewritten as a shift of one loop index, if it is one; else
+  /// `index` itself.
   Value getReplacement(OpBuilder &builder, LoopBox &box, Value index) {
     SmallVector<Value> variables;
     if (!collectIndexVariables(index, box.loop.getBody(), variables) ||

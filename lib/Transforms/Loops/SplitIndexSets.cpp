@@ -36,12 +36,12 @@ namespace {
 struct Split {
   scf::ForOp loop;
   scf::IfOp branch;
-  /// The loop index at which the interior begins and ends.
+  /// The range of the loop index in the interior of the loop, [lower, upper).
   int64_t lower, upper;
 };
 } // namespace
 
-/// The constant c with value = iv + c, if there is one.
+/// Returns the constant c with value = iv + c, if there is one.
 static std::optional<int64_t> getOffsetFrom(Value value, Value iv) {
   IndexExpr offset = getIndexExpr(value);
   if (!offset.isExact() || !offset.add(IndexExpr(iv), -1).isConstant())
@@ -72,8 +72,8 @@ static std::optional<Split> matchSplit(scf::IfOp branch) {
   return Split{loop, branch, interior[0] - *offset, interior[1] - *offset};
 }
 
-/// A copy of the loop over [lower, upper) that has the ops of `side` in place
-/// of the branch.
+/// Emits a copy of the loop over [lower, upper) that has the ops of `side`, one
+/// arm, in place of the branch.
 static void createPart(OpBuilder &builder, Split &split, Value lower,
                        Value upper, Block &side) {
   auto part = scf::ForOp::create(
@@ -91,8 +91,8 @@ static void createPart(OpBuilder &builder, Split &split, Value lower,
         }
         scf::YieldOp::create(nested, loc);
       });
-  // Each part keeps the attributes of the loop, which state facts about its
-  // iterations.
+  // Each of the loops keeps the attributes of the original loop, which state
+  // facts about its iterations.
   part->setDiscardableAttrs(split.loop->getDiscardableAttrDictionary());
 }
 
@@ -105,8 +105,8 @@ static void apply(Split &split) {
                                      builder.getIntegerAttr(type, value));
   };
   Value lower = split.loop.getLowerBound(), upper = split.loop.getUpperBound();
-  // Clamp to the range of the loop, so that lower <= first <= last <= upper
-  // even where the range misses the interior.
+  // The bounds are clamped to the range of the loop, so that lower <= first <=
+  // last <= upper even where the range misses the interior.
   auto clamp = [&](int64_t value) -> Value {
     Value above = arith::MaxSIOp::create(builder, loc, lower, constant(value));
     return arith::MinSIOp::create(builder, loc, above, upper);

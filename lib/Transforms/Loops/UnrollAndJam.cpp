@@ -31,22 +31,23 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Bits of the sums that all copies carry: an AVX vector, or two if there are
-/// enough registers.
+/// The number of bits of the sums that all copies of the loop carry: an AVX
+/// vector, or two if there are enough registers.
 static constexpr unsigned kBits = 256;
-/// The maximal number of ops of an iteration, without the computation of
-/// indices, for which there are enough registers.
+/// The most ops of an iteration, without the computation of indices, for which
+/// there are enough registers to carry two vectors.
 static constexpr unsigned kFewOps = 10;
 /// The largest stride for which LLVM vectorises loads, by also loading the
 /// elements in between.
 static constexpr int64_t kMaxStride = 8;
-/// The maximal number of ops of an iteration: beyond it, registers or the
-/// instruction cache run out.
+/// The most ops in an iteration of a jammed loop: beyond this number, registers
+/// or the instruction cache run out.
 static constexpr unsigned kMaxOps = 64;
-/// Operations on floats for each load by a loaded index that make copies with
-/// different bounds pay.
+/// The least number of float operations for each load by a loaded index that
+/// makes jammed copies with different bounds worth it.
 static constexpr unsigned kFloatsOfScattered = 4;
-/// Iterations that copies with different bounds must have in common.
+/// The number of iterations that copies with different bounds must have in
+/// common.
 static constexpr int64_t kFewCommon = 8;
 /// Loops of at most this number of instructions in all iterations are left to
 /// LLVM, which unrolls them completely and then vectorises the loop around
@@ -73,18 +74,18 @@ static LLVM::LoopAnnotationAttr getNotVectorized(MLIRContext *context,
 }
 
 namespace {
-/// The facts found in a loop.
+/// A parallel loop with a serial loop in it, and the facts found about both.
 struct Candidate {
   scf::ForOp loop;
   /// The bits of the widest sum that a serial loop of the candidate carries; 0
   /// if there is none.
   unsigned sumBits = 0;
   unsigned ops = 0;
-  /// The number of ops without the computation of indices, which copies share
-  /// or addressing modes include.
+  /// The number of ops of an iteration, without the computation of indices,
+  /// which copies share or addressing modes include.
   unsigned fewOps = 0;
-  /// Whether copies have bounds of their own, and each a loop for the
-  /// remainder.
+  /// True if the copies have bounds of their own, and each copy has a loop for
+  /// its remaining iterations.
   bool isUneven = false;
 
   void count(Operation &op) {
@@ -96,13 +97,13 @@ struct Candidate {
   }
 };
 
-/// Emits copies of several iterations, interleaved op by op.
+/// Emits copies of several iterations of a parallel loop, interleaved op by op.
 class Jammer {
 public:
   Jammer(OpBuilder &builder, unsigned factor)
       : builder(builder), copies(factor) {}
 
-  /// Maps a value to one that all copies share.
+  /// Maps a value to one emitted value that all copies share.
   void mapShared(Value from, Value to) {
     for (IRMapping &copy : copies)
       copy.map(from, to);
@@ -133,7 +134,7 @@ private:
       builder.clone(op, copy);
   }
 
-  /// Whether `op` would compute the same value in all copies.
+  /// True if `op` would compute the same value in all copies.
   bool isShared(Operation &op) const {
     return isMemoryEffectFree(&op) &&
            llvm::all_of(op.getOperands(),
@@ -146,7 +147,7 @@ private:
     });
   }
 
-  /// Emits both arms of the branch, and selects their results.
+  /// Emits both arms of a branch, and selects their results.
   void flatten(scf::IfOp branch) {
     emit(*branch.thenBlock());
     emit(*branch.elseBlock());
@@ -208,8 +209,8 @@ private:
     jammed->setAttr(kLoopAnnotation, getNotVectorized(loop.getContext()));
   }
 
-  /// The iterations that all copies have in common are jammed; each copy then
-  /// runs its additional iterations.
+  /// Jams the iterations that all copies have in common; each copy then runs
+  /// its additional iterations.
   void jamCommonPart(scf::ForOp loop) {
     Location loc = loop.getLoc();
     Type type = loop.getInductionVar().getType();
@@ -221,8 +222,8 @@ private:
     for (unsigned copy = 0; copy < copies.size(); ++copy) {
       Value lower = lookup(copy, loop.getLowerBound());
       Value upper = lookup(copy, loop.getUpperBound());
-      // Compare the bounds first: the difference of bounds that are far apart
-      // may overflow.
+      // The bounds are compared first, because the difference of bounds that
+      // are far apart may overflow.
       Value some = arith::CmpIOp::create(
           builder, loc, arith::CmpIPredicate::slt, lower, upper);
       Value count = arith::SubIOp::create(builder, loc, upper, lower);
@@ -263,7 +264,8 @@ private:
 };
 } // namespace
 
-/// The groups of accesses that do not depend on accesses of other iterations.
+/// Returns the access groups of accesses that do not depend on accesses of
+/// other iterations.
 static ArrayRef<LLVM::AccessGroupAttr> getParallelAccesses(scf::ForOp loop) {
   auto annotation =
       loop->getAttrOfType<LLVM::LoopAnnotationAttr>(kLoopAnnotation);
@@ -271,7 +273,7 @@ static ArrayRef<LLVM::AccessGroupAttr> getParallelAccesses(scf::ForOp loop) {
                     : ArrayRef<LLVM::AccessGroupAttr>();
 }
 
-/// Whether an op may be reordered with ops of other iterations.
+/// True if an op may be reordered with ops of other iterations.
 static bool isIndependent(Operation *op,
                           ArrayRef<LLVM::AccessGroupAttr> groups) {
   if (isMemoryEffectFree(op))
@@ -303,8 +305,8 @@ static bool isUniform(Value value, scf::ForOp loop,
   return known[value] = is;
 }
 
-/// The difference of the index from one iteration to the next; nullopt if it is
-/// not constant.
+/// Returns the difference of an index from one iteration to the next; nullopt
+/// if it is not constant.
 static std::optional<int64_t> getStride(IndexBuilder &builder, Value index,
                                         scf::ForOp loop) {
   DenseMap<Value, bool> known;
@@ -316,7 +318,7 @@ static std::optional<int64_t> getStride(IndexBuilder &builder, Value index,
   return stride;
 }
 
-/// Whether vectors over the iterations of this loop would gather elements that
+/// True if vectors over the iterations of this loop would gather elements that
 /// are far apart.
 static bool readsColumns(scf::ForOp loop) {
   IndexBuilder builder;
@@ -331,8 +333,9 @@ static bool readsColumns(scf::ForOp loop) {
   });
 }
 
-/// The width of the widest sum that the loop carries, an operation on the float
-/// of the iteration before, whose order must be kept; 0 if there is none.
+/// Returns the width of the widest sum that the loop carries, an operation on
+/// the float of the previous iteration, whose order must be kept; 0 if there is
+/// none.
 static unsigned getSumBits(scf::ForOp loop) {
   unsigned bits = 0;
   for (auto [argument, yielded] :
@@ -347,7 +350,7 @@ static unsigned getSumBits(scf::ForOp loop) {
   return bits;
 }
 
-/// Counts the ops of a branch. False if its sides cannot both be executed.
+/// Counts the ops of a branch. False if its two arms cannot both be executed.
 static bool visit(scf::IfOp branch, Candidate &candidate) {
   if (!branch.getNumResults())
     return false;
@@ -364,13 +367,14 @@ static bool visit(scf::IfOp branch, Candidate &candidate) {
   return !result.wasInterrupted();
 }
 
-/// Whether LLVM will unroll the loop completely. Addresses are free.
+/// True if LLVM will unroll the loop completely. Computations of addresses do
+/// not count as ops.
 static bool isUnrolledByLLVM(scf::ForOp loop) {
   std::optional<llvm::APInt> trips = loop.getStaticTripCount();
   if (!trips)
     return false;
-  // Only count ops that depend on the index or on carried values; the others
-  // are hoisted out of the loop.
+  // Only ops that depend on the loop index or on carried values are counted;
+  // the others are hoisted out of the loop.
   llvm::SmallDenseSet<Value> varying;
   varying.insert(loop.getInductionVar());
   varying.insert_range(loop.getRegionIterArgs());
@@ -388,7 +392,7 @@ static bool isUnrolledByLLVM(scf::ForOp loop) {
   return trips->ule(kUnrolledOps / ops);
 }
 
-/// Whether a value is computed from loads, or carried values, of ops within
+/// True if a value is computed from loads, or carried values, of ops within
 /// `scope`.
 static bool dependsOnLoads(Value value, Operation *scope) {
   llvm::SmallDenseSet<Value> seen;
@@ -405,8 +409,8 @@ static bool dependsOnLoads(Value value, Operation *scope) {
   return false;
 }
 
-/// Whether it pays to jam a loop whose bounds differ between copies. If loaded
-/// data decide where the copies start, they read from places that are far
+/// True if it pays to jam a loop whose bounds differ between copies. If loaded
+/// data decide where the copies start, the copies read from places that are far
 /// apart. Loads by loaded indices do so as well, and pay if there are enough
 /// operations on floats.
 static bool paysUnevenly(scf::ForOp loop, Operation *around) {
@@ -422,8 +426,8 @@ static bool paysUnevenly(scf::ForOp loop, Operation *around) {
   return floats >= kFloatsOfScattered * scattered;
 }
 
-/// Looks at the ops of an iteration of `candidate.loop`, or of a serial loop
-/// in it.
+/// Examines the ops in an iteration of `candidate.loop`, or of a serial loop in
+/// it.
 static bool visit(Block &body, Candidate &candidate,
                   ArrayRef<LLVM::AccessGroupAttr> groups, bool reassociate) {
   auto isUniform = [&](Value bound) {
@@ -458,12 +462,12 @@ static bool visit(Block &body, Candidate &candidate,
          (holdsLoops || !matchPattern(loop.getStep(), m_One()) ||
           !paysUnevenly(loop, candidate.loop))))
       return false;
-    // Do not jam a loop that carries no sums: it is better vectorised by
-    // itself.
+    // A loop that carries no sums is not jammed, since it is better vectorised
+    // by itself.
     if ((!bits && !holdsLoops) || isUnrolledByLLVM(loop))
       return false;
-    // Do not jam a loop whose sums may be added up in any order, either: LLVM
-    // vectorises it.
+    // A loop whose sums may be added up in any order is not jammed either,
+    // since LLVM vectorises it.
     if (reassociate && !holdsLoops && !readsColumns(loop))
       return false;
     candidate.sumBits = std::max(candidate.sumBits, bits);
@@ -502,8 +506,8 @@ static void apply(const Candidate &candidate) {
   auto constant = [&](OpBuilder &at, int64_t value) -> Value {
     return arith::ConstantOp::create(at, loc, at.getIntegerAttr(type, value));
   };
-  // Run [lower, middle) in steps of the factor, which is a power of two, and
-  // then the remainder.
+  // The iterations [lower, middle) run in steps of the factor, which is a power
+  // of two, and then the remaining iterations.
   Value lower = loop.getLowerBound(), upper = loop.getUpperBound();
   Value count = arith::SubIOp::create(builder, loc, upper, lower);
   count = arith::MaxSIOp::create(builder, loc, count, constant(builder, 0));

@@ -28,7 +28,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether an access in `inner` is at a sum of its index and one of `loop`.
+/// True if an access in the loop `inner` has an index that is a sum of the
+/// index of `inner` and an index of `loop`.
 static bool isStencil(scf::ForOp inner, ParallelForOp loop) {
   WalkResult result = inner.walk([&](Operation *op) {
     auto access = dyn_cast<FieldAccessOpInterface>(op);
@@ -80,7 +81,7 @@ struct UnrollStencils : tai::impl::UnrollStencilsBase<UnrollStencils> {
       int64_t around = countOps(loop.getBody());
       if (around + ops * (trips->getSExtValue() - 1) > maxOps)
         continue;
-      // Leaves the loop as it is if it fails.
+      // If unrolling fails, the loop stays as it is.
       (void)loopUnrollFull(inner);
     }
   }

@@ -34,10 +34,12 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Arguments of the kernel, and the number that each has in the version.
+/// Arguments of the kernel, and the number that each of them has in the
+/// version.
 using KnownSizes = llvm::MapVector<Value, int64_t>;
 
-/// The one argument that an integer outside of the loop is computed from.
+/// Returns the only kernel argument from which an integer outside of the loop
+/// is computed.
 static Value getOnlyVariable(Value value, Region &kernel) {
   SmallVector<Value> variables;
   if (!value.getType().isIntOrIndex() || matchPattern(value, m_Constant()) ||
@@ -46,8 +48,8 @@ static Value getOnlyVariable(Value value, Region &kernel) {
   return variables.size() == 1 ? variables.front() : Value();
 }
 
-/// The bound above which an index of the loop leaves a field: the least one
-/// over all accesses at a shift of the index.
+/// Returns the bound above which an index of the loop leaves a field: the least
+/// bound over all accesses at a shift of the index.
 static std::optional<int64_t> getEnd(ParallelForOp loop, Value iv) {
   std::optional<int64_t> end;
   loop.getBody().walk([&](Operation *op) {
@@ -97,7 +99,8 @@ static std::optional<KnownSizes> findSizes(ParallelForOp loop, Region &kernel) {
   return sizes;
 }
 
-/// The number that `value` has in the version, if it is known there.
+/// Returns the number that `value` has in the version for known sizes, if it is
+/// known there.
 static std::optional<int64_t> evaluate(Value value, Region &kernel,
                                        const KnownSizes &sizes) {
   Value size = getOnlyVariable(value, kernel);
@@ -107,8 +110,8 @@ static std::optional<int64_t> evaluate(Value value, Region &kernel,
   return evaluateIndex(value, size, known->second);
 }
 
-/// Whether constants may help: an element other than that of the iteration is
-/// added to, or the body computes with a size.
+/// True if constants in place of sizes may help: iterations add to elements
+/// other than their own, or the body computes with a size.
 static bool canGain(ParallelForOp loop, Region &kernel,
                     const KnownSizes &sizes) {
   WalkResult result = loop.getBody().walk([&](Operation *op) {
@@ -172,7 +175,8 @@ struct VersionExtents : tai::impl::VersionExtentsBase<VersionExtents> {
       return WalkResult::skip();
     });
     for (ParallelForOp loop : loops) {
-      // Another target would add in another order.
+      // Loops with sums of a common order are left alone, because another
+      // target would add their terms in another order.
       if (loop.getSerialize() || loop.getInOrder() || loop.isStructFor() ||
           checksIndices(loop) || hasCommonOrder(loop))
         continue;

@@ -32,28 +32,30 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// A condition on the innermost index, and its value in the interior.
+/// A condition on the innermost loop index, and its truth value in the
+/// interior.
 struct Condition {
   Value value;
   bool answer;
 };
 
-/// The range in which all conditions of a loop are constant.
+/// The range of the innermost index in which all conditions of a loop are
+/// constant.
 struct Interior {
   int64_t lower, upper;
   SmallVector<Condition> conditions;
 };
 } // namespace
 
-/// Whether `value` depends on `iv` and on no other index of the loop.
+/// True if `value` depends on `iv` and on no other index of the loop.
 static bool dependsOnlyOn(Value value, LoopBox &box, Value iv) {
   SmallVector<Value> variables;
   return collectIndexVariables(value, box.loop.getBody(), variables) &&
          variables.size() == 1 && variables.front() == iv;
 }
 
-/// Makes the choice between two indices, at a border that cuts indices off, a
-/// condition as others are.
+/// Turns minima and maxima of indices, which cut indices off at a border, into
+/// selects by a condition, so that the condition is treated like others.
 static void expandExtrema(LoopBox &box, Value iv) {
   SmallVector<Operation *> extrema;
   box.loop.getBody().walk([&](Operation *op) {
@@ -76,7 +78,8 @@ static void expandExtrema(LoopBox &box, Value iv) {
   }
 }
 
-/// The truth values in the body that depend on `iv` and nothing else.
+/// Finds the truth values in the loop body that depend on `iv` and on no other
+/// value that varies.
 static SmallVector<Value> collectConditions(LoopBox &box, Value iv) {
   SmallVector<Value> conditions;
   box.loop.getBody().walk([&](Operation *op) {
@@ -90,7 +93,7 @@ static SmallVector<Value> collectConditions(LoopBox &box, Value iv) {
   return conditions;
 }
 
-/// Narrows `interior` to the range in which `condition` is constant.
+/// Narrows `interior` to the range of indices in which `condition` is constant.
 static bool narrow(Interior &interior, Value condition, Value iv) {
   std::optional<ConstantStretch> stretch =
       getConstantStretch(condition, iv, interior.lower, interior.upper);
@@ -102,8 +105,8 @@ static bool narrow(Interior &interior, Value condition, Value iv) {
   return true;
 }
 
-/// The interior of the loop, if it is worth a body of its own: there are
-/// conditions, and the borders are thin.
+/// Returns the interior of the loop, if it is worth a body of its own: there
+/// are conditions, and the borders are thin.
 static std::optional<Interior> findInterior(LoopBox &box, int64_t minLength) {
   unsigned last = box.ivs().size() - 1;
   Value iv = box.ivs()[last];

@@ -33,7 +33,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Two indices from outside of a loop that may be equal.
+/// Two indices from outside of a loop that are possibly equal, by which the
+/// loop selects slots of a field.
 struct SlotPair {
   Value first, second;
 };
@@ -56,8 +57,8 @@ static std::optional<SlotPair> getOpenPair(ParallelForOp loop, ValueRange a,
   return open;
 }
 
-/// The two slots that all accesses of the loop leave open, if there are no
-/// others.
+/// Returns the two indices (slots) of which only a launch knows whether they
+/// differ, if all accesses of the loop that may conflict have the same two.
 static std::optional<SlotPair> findSlots(ParallelForOp loop) {
   llvm::MapVector<const void *, SmallVector<FieldAccessOpInterface>> accesses;
   bool adds = false;
@@ -69,7 +70,7 @@ static std::optional<SlotPair> findSlots(ParallelForOp loop) {
     adds |= atomic && !atomic.getExclusive() &&
             isa<FloatType>(getElementTypeOrSelf(atomic.getValue().getType()));
   });
-  // Other loops become vectors behind a test that LLVM makes.
+  // Other loops are vectorised behind a test that LLVM makes.
   if (!adds)
     return std::nullopt;
   std::optional<SlotPair> found;
@@ -95,8 +96,9 @@ static std::optional<SlotPair> findSlots(ParallelForOp loop) {
   return found;
 }
 
-/// A copy of the loop at the builder, in which `slots.second` is its distance
-/// from `slots.first`, limited to a side by `Limit`, away from it.
+/// Emits a copy of the loop in which the index `slots.second` is computed as
+/// `slots.first` plus the distance of both, limited by `Limit` (a minimum or
+/// maximum) to one side of zero.
 template <typename Limit>
 static void createVersion(ImplicitLocOpBuilder &b, ParallelForOp loop,
                           const SlotPair &slots, Value distance, int64_t step) {
@@ -143,7 +145,8 @@ struct VersionSlots : tai::impl::VersionSlotsBase<VersionSlots> {
       return WalkResult::skip();
     });
     for (ParallelForOp loop : loops) {
-      // Another target would add in another order.
+      // Loops with sums of a common order are left alone, because another
+      // target would add their terms in another order.
       if (loop.getSerialize() || loop.getInOrder() || checksIndices(loop) ||
           hasCommonOrder(loop))
         continue;

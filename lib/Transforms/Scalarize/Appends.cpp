@@ -50,8 +50,8 @@ static LogicalResult expandAppend(AppendOp append, FieldTable &fields) {
   auto store = StoreOp::create(inside, loc, append.getValue(),
                                append.getFieldAttr(), indices);
   store->setAttr(kActiveAttrName, inside.getUnitAttr());
-  // After a failed append, the launch goes on until its next test for failures:
-  // the position must be in range until then.
+  // After a failed append, the launch goes on until its next test for failures.
+  // Until then, the position of the append must be in range.
   append.getAt().replaceAllUsesWith(math.max(at, zero));
   append.erase();
   return success();

@@ -26,8 +26,8 @@ struct Rotation {
 };
 } // namespace
 
-/// The rotation by the smaller angle that makes [[p, q], [q, r]] diagonal, with
-/// values p - t q and r + t q.
+/// Emits the rotation by the smaller angle that makes [[p, q], [q, r]]
+/// diagonal, with values p - t q and r + t q.
 static Rotation emitRotation(ScalarMath &math, Value p, Value q, Value r) {
   Type type = p.getType();
   Value zero = math.constant(type, 0), one = math.constant(type, 1);
@@ -36,7 +36,8 @@ static Rotation emitRotation(ScalarMath &math, Value p, Value q, Value r) {
   Value negative = math.less(half, zero);
   Value divisor =
       math.add(half, math.select(negative, math.neg(length), length));
-  // A diagonal matrix with equal values: any rotation does, so the identity.
+  // For a diagonal matrix with equal values any rotation will do, so the
+  // identity is taken.
   Value none = math.equal(divisor, zero);
   Value t =
       math.div(math.select(none, zero, q), math.select(none, one, divisor));
@@ -44,7 +45,8 @@ static Rotation emitRotation(ScalarMath &math, Value p, Value q, Value r) {
   return {c, math.mul(t, c), t};
 }
 
-/// Columns p and q of an n-column matrix become c p - s q and s p + c q.
+/// Emits the rotation of columns p and q of an n-column matrix, which become c
+/// p - s q and s p + c q.
 static void emitRotateColumns(ScalarMath &math, MutableArrayRef<Value> matrix,
                               unsigned n, unsigned p, unsigned q,
                               const Rotation &rotation) {
@@ -57,8 +59,9 @@ static void emitRotateColumns(ScalarMath &math, MutableArrayRef<Value> matrix,
   }
 }
 
-/// Exchanges columns p and q where `condition` holds. One column changes its
-/// sign, so that a rotation matrix stays a rotation.
+/// Emits code that exchanges columns p and q of a matrix where `condition`
+/// holds. One column changes its sign, so that a rotation matrix stays a
+/// rotation.
 static void emitSwapColumns(ScalarMath &math, MutableArrayRef<Value> matrix,
                             unsigned n, unsigned p, unsigned q,
                             Value condition) {
@@ -83,11 +86,11 @@ static Components emitIdentity(ScalarMath &math, Type type, unsigned n) {
   return result;
 }
 
-/// The pairs of columns of one sweep.
+/// The pairs of columns that one sweep of the Jacobi method rotates.
 static constexpr unsigned kPairs[3][2] = {{0, 1}, {0, 2}, {1, 2}};
 
-/// Runs `sweep` on the state often enough to converge, in a loop: code size
-/// matters more than the branch.
+/// Emits a loop that runs `sweep` on the state often enough to converge. It is
+/// a loop because code size matters more than the branch.
 static Components
 emitSweeps(ScalarMath &math, Components state,
            function_ref<void(ScalarMath &, MutableArrayRef<Value>)> sweep) {
@@ -113,9 +116,9 @@ emitSweeps(ScalarMath &math, Components state,
 // Symmetric eigenvalues
 //===----------------------------------------------------------------------===//
 
-/// A matrix divided by its largest entry, so that squares neither overflow nor
-/// vanish. `scale` is the factor to multiply by afterwards, `empty` whether the
-/// factor is 0.
+/// Emits a matrix divided by its largest entry, so that squares neither
+/// overflow nor vanish. `scale` is the factor to multiply by afterwards;
+/// `empty` is true if the factor is 0.
 static Components emitScaled(ScalarMath &math, ArrayRef<Value> a, Value &scale,
                              Value &empty) {
   Type type = a[0].getType();
@@ -225,13 +228,13 @@ static std::array<Value, 3> emitScaledPoint(ScalarMath &math, Value x,
   return {branch.getResult(0), branch.getResult(1), branch.getResult(2)};
 }
 
-/// The rotation nearest to a 2×2 matrix, in closed form.
+/// Emits the rotation nearest to a 2×2 matrix, in closed form.
 static Components emitRotation2(ScalarMath &math, ArrayRef<Value> a) {
   Type type = a[0].getType();
   auto [x, y, length] =
       emitScaledPoint(math, math.add(a[0], a[3]), math.sub(a[2], a[1]));
   Value zero = math.constant(type, 0), one = math.constant(type, 1);
-  // A reflection has no nearest rotation; the identity is as near as any.
+  // A reflection has no nearest rotation; the identity is as near as any other.
   Value none = math.equal(length, zero);
   Value inverse = math.div(one, math.select(none, one, length));
   Value c = math.mul(math.select(none, one, x), inverse);
@@ -239,11 +242,13 @@ static Components emitRotation2(ScalarMath &math, ArrayRef<Value> a) {
   return {c, math.neg(s), s, c};
 }
 
-/// A unit vector perpendicular to `u`, continuous in `u` almost everywhere.
+/// Emits a unit vector perpendicular to `u`, continuous in `u` almost
+/// everywhere.
 static Components emitPerpendicular(ScalarMath &math, ArrayRef<Value> u) {
   Type type = u[0].getType();
   Value zero = math.constant(type, 0);
-  // Perpendicular to u and to a coordinate axis that is far from u.
+  // The vector is perpendicular to u and to a coordinate axis that is far from
+  // u.
   Value small = math.less(math.abs(u[0]), math.constant(type, 0.6));
   Components candidate = {math.select(small, zero, math.neg(u[2])),
                           math.select(small, u[2], zero),
@@ -258,8 +263,9 @@ static Components getColumn(ArrayRef<Value> matrix, unsigned column) {
   return {matrix[column], matrix[3 + column], matrix[6 + column]};
 }
 
-/// One-sided Jacobi: rotations from the right make the columns of A orthogonal.
-/// The result is U Σ, and the product of the rotations is V.
+/// Emits the singular value decomposition of a 3×3 matrix by one-sided Jacobi:
+/// rotations from the right make the columns of A orthogonal. The result is U
+/// Σ, and the product of the rotations is V.
 static Svd emitSvd3(ScalarMath &math, ArrayRef<Value> a) {
   Type type = a[0].getType();
   Value zero = math.constant(type, 0), one = math.constant(type, 1);
@@ -289,8 +295,8 @@ static Svd emitSvd3(ScalarMath &math, ArrayRef<Value> a) {
     emitSwapColumns(math, result.v, 3, p, q, ascending);
   }
 
-  // U from the columns, largest first; a column too small to have a direction
-  // gets one that completes the rotation.
+  // The columns give U, largest first. In place of a column too small to have a
+  // direction, U gets one that completes the rotation.
   Components b0 = getColumn(b, 0), b1 = getColumn(b, 1), b2 = getColumn(b, 2);
   Value sigma0 = math.sqrt(squares[0]);
   Components u0 = {math.select(empty, one, math.div(b0[0], sigma0)),
@@ -314,8 +320,8 @@ static Svd emitSvd3(ScalarMath &math, ArrayRef<Value> a) {
 
   for (unsigned i = 0; i != 3; ++i)
     llvm::append_range(result.u, Components{u0[i], u1[i], u2[i]});
-  // The last singular value has the sign of the determinant. The second one can
-  // be negative only by rounding.
+  // The last singular value has the sign of the determinant. The second value
+  // can be negative only by rounding.
   result.sigma = {math.mul(sigma0, scale), math.mul(math.dot(u1, b1), scale),
                   math.mul(math.dot(u2, b2), scale)};
   return result;

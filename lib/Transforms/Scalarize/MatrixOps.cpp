@@ -21,7 +21,7 @@ static int64_t getColumns(Value matrix) {
   return type.getRank() == 2 ? type.getDimSize(1) : 1;
 }
 
-/// The matrix without one row and one column.
+/// Returns a matrix without one row and one column.
 static Components getMinor(ArrayRef<Value> a, unsigned n, unsigned row,
                            unsigned column) {
   Components minor;
@@ -46,7 +46,7 @@ static Value emitDeterminant(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
   return sum;
 }
 
-/// The cofactors of a matrix, row by row.
+/// Emits the cofactors of a matrix, row by row.
 static Components emitCofactors(ScalarMath &math, ArrayRef<Value> a,
                                 unsigned n) {
   Components cofactors;
@@ -58,7 +58,7 @@ static Components emitCofactors(ScalarMath &math, ArrayRef<Value> a,
   return cofactors;
 }
 
-/// The adjugate times the reciprocal of the determinant.
+/// Emits the inverse: the adjugate times the reciprocal of the determinant.
 static Components emitAdjugateOver(ScalarMath &math, ArrayRef<Value> cofactors,
                                    Value determinant, unsigned n) {
   Value one = math.constant(determinant.getType(), 1);
@@ -70,12 +70,12 @@ static Components emitAdjugateOver(ScalarMath &math, ArrayRef<Value> cofactors,
   return result;
 }
 
-/// Adjugate over determinant. The determinant is a product of n entries, and
-/// can leave the range of floats where the entries of the inverse do not: for
-/// 3×3 matrices in f32 already at entries of 1e-13. Only then is the matrix
-/// divided by its largest entry first. Almost all matrices take the same arm of
-/// this branch; LLVM is told so, or it would compute both arms for vectors of
-/// matrices.
+/// Emits the inverse: adjugate over determinant. The determinant is a product
+/// of n entries, and can leave the range of floats where the entries of the
+/// inverse do not: for 3×3 matrices in f32 already at entries of 1e-13. Only
+/// then is the matrix divided by its largest entry first. Almost all matrices
+/// take the same arm of this branch; LLVM is told so, or it would compute both
+/// arms for vectors of matrices.
 static Components emitInverse(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
   Type type = a[0].getType();
   if (n == 1)
@@ -126,8 +126,9 @@ static Components emitInverse(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
   return Components(branch.getResults());
 }
 
-/// Gaussian elimination with the largest pivot of each column, which keeps the
-/// error small where the determinant would cancel. Rows are swapped by selects.
+/// Emits the solution of a linear system by Gaussian elimination with the
+/// largest pivot of each column, which keeps the error small where the
+/// determinant would cancel. Rows are swapped by selects.
 static Components emitSolve(ScalarMath &math, ArrayRef<Value> matrix,
                             ArrayRef<Value> rhs, unsigned n) {
   Components a(matrix), b(rhs);
@@ -158,10 +159,10 @@ static Components emitSolve(ScalarMath &math, ArrayRef<Value> matrix,
   return b;
 }
 
-/// The norm. Squares under- and overflow at half the exponents of the type;
-/// only then components are scaled by a power of two, which is exact. Almost
-/// all vectors take the same arm of this branch, so that it costs little more
-/// than its condition.
+/// Emits the norm of a vector. Squares under- and overflow at half the
+/// exponents of the type; only then components are scaled by a power of two,
+/// which is exact. Almost all vectors take the same arm of this branch, so that
+/// it costs little more than its condition.
 static Value emitNorm(ScalarMath &math, ArrayRef<Value> values, bool fast) {
   Type type = values[0].getType();
   if (values.size() == 1)

@@ -22,13 +22,13 @@ using namespace mlir::tai;
 /// loop, which would carry each component in a register and would not become
 /// vectors of iterations, and elsewhere.
 static constexpr int64_t kMaxInLoop = 6, kMaxElsewhere = 16;
-/// The maximal bytes of a function's vectors: stacks of threads are small.
+/// The most bytes of a function's vectors in memory: stacks of threads are
+/// small.
 static constexpr int64_t kMaxBytes = 1 << 15;
-/// The maximal number of accesses to vectors that need copies in a function:
-/// upstream finds the copies in a time that grows with its third power.
+/// The most accesses to vectors that need copies in a function: upstream finds
+/// the copies in a time that grows with its third power.
 static constexpr int64_t kMaxAccesses = 200;
-/// The maximal number of pairs, of a vector and a write to a connected vector,
-/// that are compared.
+/// The most comparisons of a vector with a write to a connected vector.
 static constexpr int64_t kMaxPairs = 1 << 22;
 
 //===----------------------------------------------------------------------===//
@@ -46,7 +46,7 @@ Operation *tai::getScope(Operation *op) {
   return op;
 }
 
-/// Whether a loop in the scope of the op contains the op.
+/// True if a loop in the scope of the op contains the op.
 static bool isInLoop(Operation *op) {
   for (op = op->getParentOp(); isControlFlow(op); op = op->getParentOp())
     if (isa<LoopLikeOpInterface>(op))
@@ -83,7 +83,8 @@ bool tai::isAtRunTime(Operation *op) {
 // Vectors that share a buffer
 //===----------------------------------------------------------------------===//
 
-/// Joins values that are the same vector at different times.
+/// Joins vector values that are one vector of the program at different times,
+/// such as the values that a loop carries.
 void MemoryVectors::joinValuesOf(Operation *op) {
   auto yielded = [](Region &region) {
     return region.front().getTerminator()->getOperands();
@@ -128,13 +129,14 @@ static Operation *getWriter(Value vector) {
                                                                    : nullptr;
 }
 
-/// Whether the use may come after `writer`, which the vector dominates, without
-/// the vector having been computed again.
+/// True if a use of the vector may be reached from `writer` without the vector
+/// having been computed again.
 static bool mayFollow(OpOperand &use, Operation *writer) {
   Operation *user = use.getOwner();
   Value vector = use.get();
   Region *region = vector.getParentRegion();
-  // If a loop contains both, the use may follow in the next iteration.
+  // If a loop contains both the use and the writer, the use may follow in the
+  // next iteration.
   for (Operation *op = writer->getParentOp(); op; op = op->getParentOp()) {
     if (op->isAncestor(region->getParentOp()))
       break;
@@ -143,8 +145,8 @@ static bool mayFollow(OpOperand &use, Operation *writer) {
   }
   if (user == writer)
     return false;
-  // If an op contains both in different regions, the region of the use may run
-  // later.
+  // If an op contains both the use and the writer in different regions, the
+  // region of the use may run later.
   Operation *common = writer->getParentOp();
   while (!common->isAncestor(user))
     common = common->getParentOp();
@@ -162,10 +164,11 @@ static bool mayFollow(OpOperand &use, Operation *writer) {
   return !isa<scf::IfOp, scf::IndexSwitchOp>(common);
 }
 
-/// Whether the members can share a buffer: each use of one comes before the
-/// next write of another.
+/// True if the vectors `members` can share a buffer: each use of one comes
+/// before the next write of another.
 static bool canShareBuffer(ArrayRef<Value> members, DominanceInfo &dominance) {
-  // The arguments of a block are all written at its start.
+  // The arguments of a block are all written at its start, so only one of them
+  // can be in the buffer.
   if (llvm::count_if(members, [](Value member) {
         return isa<BlockArgument>(member) &&
                !isControlFlow(member.getParentBlock()->getParentOp());

@@ -16,31 +16,34 @@
 
 namespace mlir::tai {
 
-/// Whether the op is a loop or branch of the scf dialect.
+/// True if the op is a loop or branch of the scf dialect.
 bool isControlFlow(Operation *op);
 
-/// The innermost op around the given op or value that is no control flow.
+/// Returns the innermost op around the given op or value that is no control
+/// flow.
 Operation *getScope(Operation *op);
 Operation *getScope(Value value);
 
-/// Whether the op reads, or writes, one component of a vector, whose position
+/// True if the op reads, or writes, one component of a vector, whose position
 /// is given in full.
 bool isComponentRead(Operation *op);
 bool isComponentWrite(Operation *op);
-/// Whether the op reads or writes one component of a vector at a position that
+/// True if the op reads or writes one component of a vector at a position that
 /// is computed at run time.
 bool isAtRunTime(Operation *op);
 
-/// The vectors of a function that go to memory.
+/// The vectors of a function that are kept in memory, because components are
+/// accessed at positions computed at run time.
 class MemoryVectors {
 public:
-  /// Chooses vectors, with `withCopies` also vectors that need copies.
+  /// Chooses the vectors that are kept in memory; with `withCopies`, also
+  /// vectors that must be copied for this.
   MemoryVectors(FunctionOpInterface function, bool withCopies);
 
   bool empty() const { return chosen.empty(); }
   bool needCopies() const { return accesses > 0; }
   bool contains(Value value) const { return chosen.contains(value); }
-  /// The number of the buffer that a vector shares with others.
+  /// Returns the number of the buffer that a vector shares with others.
   std::optional<unsigned> getBuffer(Value value) const {
     auto found = chosen.find(value);
     return found == chosen.end() ? std::nullopt : found->second;

@@ -27,7 +27,7 @@ using namespace mlir;
 using namespace mlir::tai;
 using Predicate = arith::CmpFPredicate;
 
-/// The least number whose square root is at least `limit`.
+/// Returns the least number whose square root is at least `limit`.
 template <typename Real> static Real getLeastSquare(Real limit) {
   constexpr Real infinity = std::numeric_limits<Real>::infinity();
   Real square = limit * limit;
@@ -38,8 +38,8 @@ template <typename Real> static Real getLeastSquare(Real limit) {
   return square;
 }
 
-/// The least number whose root is at least `limit`, or, with `isAbove`, greater
-/// than it; none if norms near it may have scaled operands.
+/// Returns the least number whose root is at least `limit`, or, with `isAbove`,
+/// greater than `limit`; none if norms near it may have scaled operands.
 template <typename Real>
 static std::optional<APFloat> getThreshold(Real limit, bool isAbove, Real least,
                                            Real greatest) {
@@ -61,8 +61,9 @@ static std::optional<APFloat> getThreshold(const APFloat &limit, Type type,
   return std::nullopt;
 }
 
-/// The predicate of `square ? threshold` that stands for `root ? limit`, and
-/// whether the threshold is that of roots above the limit.
+/// Describes the comparison `square ? threshold` that stands for `root ?
+/// limit`: its predicate, and whether the threshold is that of roots above the
+/// limit.
 static std::optional<std::pair<Predicate, bool>>
 getSquarePredicate(Predicate predicate) {
   switch (predicate) {
@@ -84,7 +85,7 @@ getSquarePredicate(Predicate predicate) {
   }
 }
 
-/// `limit ? root` as `root ? limit`.
+/// Returns the predicate that turns `limit ? root` into `root ? limit`.
 static Predicate swapSides(Predicate predicate) {
   switch (predicate) {
   case Predicate::OLT:
@@ -108,16 +109,17 @@ static Predicate swapSides(Predicate predicate) {
   }
 }
 
-/// Whether `root` is the root of a number that is not negative, or a norm.
+/// True if `root` is the square root of a number that is not negative, or a
+/// norm.
 static bool isRoot(Value root, FloatFacts &facts) {
   if (auto norm = root.getDefiningOp<NormOp>())
-    // The norm of one component is its magnitude.
+    // A norm of one component is its magnitude, and no root.
     return cast<VectorType>(norm.getVector().getType()).getNumElements() > 1;
   auto sqrt = root.getDefiningOp<math::SqrtOp>();
   return sqrt && facts.isNonNegative(sqrt.getOperand());
 }
 
-/// The number of which `root` is the root.
+/// Returns the number of which `root` is the square root.
 static Value getSquare(Value root) {
   if (auto sqrt = root.getDefiningOp<math::SqrtOp>())
     return sqrt.getOperand();

@@ -57,7 +57,7 @@ public:
     return arith::ConstantOp::create(
         builder, loc, builder.getIntegerAttr(type, int64_t(value)));
   }
-  /// Ordered comparisons: false if an operand is NaN.
+  /// Emit ordered comparisons, which are false if an operand is NaN.
   Value less(Value a, Value b) {
     return arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::OLT, a, b);
   }
@@ -87,8 +87,8 @@ public:
     return result;
   }
 
-  /// The product of a matrix of n rows and k columns and one of k rows and m
-  /// columns.
+  /// Emits the product of a matrix of n rows and k columns and a matrix of k
+  /// rows and m columns.
   Components product(ArrayRef<Value> a, ArrayRef<Value> b, unsigned n,
                      unsigned k, unsigned m) {
     Components result;
@@ -103,7 +103,7 @@ public:
       }
     return result;
   }
-  /// The transpose of a matrix of n rows and m columns.
+  /// Returns the transpose of a matrix of n rows and m columns.
   static Components transpose(ArrayRef<Value> a, unsigned n, unsigned m) {
     Components result;
     for (unsigned j = 0; j != m; ++j)

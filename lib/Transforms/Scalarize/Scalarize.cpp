@@ -73,8 +73,8 @@ Components Scalarizer::indicesOf(VectorType type, int64_t position) {
 // Structure: ops that carry values
 //===----------------------------------------------------------------------===//
 
-/// Inserts an argument for each component after each vector argument. The
-/// vector arguments are erased at the end.
+/// Inserts an argument for each component after each vector argument of a
+/// function. The vector arguments are erased at the end.
 void Scalarizer::expandArguments(Block &block) {
   for (unsigned i = 0; i < block.getNumArguments(); ++i) {
     BlockArgument argument = block.getArgument(i);
@@ -222,8 +222,8 @@ void Scalarizer::processLocal(Operation *op) {
   dead.push_back(op);
 }
 
-/// tai.print and tai.assert: the components of all values in a row, and an
-/// attribute with the number of components of each value.
+/// For tai.print and tai.assert: passes the components of all values in a row,
+/// and an attribute with the number of components of each value.
 void Scalarizer::processMessage(Operation *op) {
   auto print = dyn_cast<PrintOp>(op);
   auto assertion = dyn_cast<AssertOp>(op);
@@ -305,7 +305,7 @@ void Scalarizer::processElementwise(Operation *op) {
   dead.push_back(op);
 }
 
-/// The components of a constant; all components of a splat are one op.
+/// Returns the components of a constant; all components of a splat are one op.
 static Components expandConstant(arith::ConstantOp op, DenseElementsAttr dense,
                                  OpBuilder &builder) {
   Components components;
@@ -414,7 +414,7 @@ LogicalResult Scalarizer::processBlock(Block &block) {
   return success();
 }
 
-/// Gives arrays of vectors their new type.
+/// Gives arrays of vectors their new type, an array of scalars.
 static void flattenArrays(FunctionOpInterface function) {
   SmallVector<Type> inputs(function.getArgumentTypes());
   bool changed = false;
@@ -461,7 +461,7 @@ LogicalResult Scalarizer::run() {
     if (!llvm::is_contained(arguments, &op) && failed(process(&op)))
       return failure();
 
-  // Erase backwards, because uses come after definitions.
+  // The dead ops are erased backwards, because uses come after definitions.
   for (Operation *op : llvm::reverse(dead)) {
     op->dropAllUses();
     op->erase();

@@ -23,12 +23,12 @@ public:
 
   LogicalResult run();
 
-  /// The components of a vector, or the scalar itself.
+  /// Returns the components of a vector, or the scalar itself.
   Components get(Value value);
-  /// Sets the components of a result.
+  /// Sets the components that stand for a vector result.
   void set(Value result, Components components);
 
-  /// An index constant at the top of the function.
+  /// Returns an index constant at the top of the function.
   Value index(int64_t value);
 
 private:
@@ -42,7 +42,8 @@ private:
   void processElementwise(Operation *op);
   LogicalResult processArrayAccess(Operation *op);
 
-  /// Component indices of a position in an element type.
+  /// Returns the component indices of a row-major position in an element of the
+  /// given type.
   Components indicesOf(VectorType type, int64_t position);
   void expandArguments(Block &block);
   LogicalResult verify();
@@ -54,8 +55,8 @@ private:
   SmallVector<BlockArgument> deadArguments;
 };
 
-/// Compares the squares of norms and roots with constants, where that has the
-/// same results.
+/// Replaces comparisons of norms and roots with constants by comparisons of
+/// their squares, if this has the same results.
 void compareSquares(FunctionOpInterface function);
 
 /// Expands an op of the vector dialect; nullopt if it is not supported.
@@ -65,7 +66,8 @@ std::optional<LogicalResult> expandVectorOp(Operation *op,
 /// Expands an op of the tai dialect on small matrices; false for other ops.
 bool expandMatrixOp(Operation *op, Scalarizer &scalarizer);
 
-/// Decompositions of an n×n matrix (n is 2 or 3), as components.
+/// Emit the decompositions of an n×n matrix (n is 2 or 3), given by its
+/// components.
 struct Svd {
   Components u, sigma, v; // sigma: the n values
 };

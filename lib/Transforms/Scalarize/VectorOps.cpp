@@ -18,7 +18,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Row-major position of a multi-index.
+/// Returns the row-major position of a multi-index.
 static int64_t linearize(ArrayRef<int64_t> shape, ArrayRef<int64_t> indices) {
   int64_t position = 0;
   for (auto [extent, index] : llvm::zip(shape, indices))
@@ -26,7 +26,7 @@ static int64_t linearize(ArrayRef<int64_t> shape, ArrayRef<int64_t> indices) {
   return position;
 }
 
-/// The multi-index of a row-major position.
+/// Returns the multi-index of a row-major position.
 static SmallVector<int64_t> delinearize(ArrayRef<int64_t> shape,
                                         int64_t position) {
   SmallVector<int64_t> indices(shape.size());
@@ -47,7 +47,7 @@ static int64_t getCount(Type type) {
   return vector ? vector.getNumElements() : 1;
 }
 
-/// index == value, as i1.
+/// Emits the test index == value, as i1.
 static Value isAt(OpBuilder &builder, Location loc, Value index,
                   int64_t value) {
   Value constant = arith::ConstantOp::create(
@@ -56,8 +56,8 @@ static Value isAt(OpBuilder &builder, Location loc, Value index,
                                constant);
 }
 
-/// Calls `visit(position, condition)` for each leading position that `indices`
-/// can have; the condition is null if it always holds.
+/// Calls `visit(position, condition)` for each leading position in a vector
+/// that `indices` can have; the condition is null if it always holds.
 static void forEachPosition(
     OpBuilder &builder, Location loc, ArrayRef<OpFoldResult> indices,
     ArrayRef<int64_t> shape,
@@ -66,7 +66,7 @@ static void forEachPosition(
   for (auto [index, extent] : llvm::zip(indices, shape)) {
     auto &choice = choices.emplace_back();
     if (std::optional<int64_t> constant = getConstantIntValue(index)) {
-      // A position outside of the vector, such as -1, is poison.
+      // A constant position outside of the vector, such as -1, is poison.
       if (*constant >= 0 && *constant < extent)
         choice.push_back({*constant, Value()});
       continue;
@@ -104,8 +104,8 @@ static void expandExtract(vector::ExtractOp op, Scalarizer &scalarizer) {
         int64_t first = linearize(shape.take_front(position.size()), position);
         for (int64_t i = 0; i != count; ++i) {
           Value value = source[first * count + i];
-          // The first candidate is taken without a condition, since the
-          // condition of one candidate holds.
+          // The first candidate position is taken without a condition, since
+          // one of the conditions holds.
           result[i] = result[i] && condition
                           ? arith::SelectOp::create(builder, op.getLoc(),
                                                     condition, value, result[i])
@@ -113,8 +113,8 @@ static void expandExtract(vector::ExtractOp op, Scalarizer &scalarizer) {
                           : value;
         }
       });
-  // Without a candidate, the position is constant and out of range: take the
-  // first component, as for a position that is out of range at run time.
+  // Without a candidate, the position is constant and out of range. The first
+  // component is taken, as for a position that is out of range at run time.
   for (int64_t i = 0; i != count; ++i)
     if (!result[i])
       result[i] = source[i];

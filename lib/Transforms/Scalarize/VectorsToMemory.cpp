@@ -56,7 +56,8 @@ static bool hasPositionAtRunTime(FunctionOpInterface function) {
       .wasInterrupted();
 }
 
-/// Whether all control flow is structured: no region has several blocks.
+/// True if all control flow of the function is structured: no region has
+/// several blocks.
 static bool isStructured(FunctionOpInterface function) {
   return !function
               .walk([](Operation *op) {
@@ -109,7 +110,8 @@ public:
 
 private:
   enum class Kind { Read, Write, Cast, Other };
-  /// An op that uses or defines chosen vectors, with their original types.
+  /// An op that uses or defines chosen vectors, with the original types of
+  /// these vectors.
   struct Access {
     Operation *op;
     Kind kind;
@@ -127,8 +129,8 @@ private:
   const MemoryVectors &vectors;
   llvm::DenseMap<unsigned, Value> buffers;
   SmallVector<Access> accesses;
-  /// carried: vectors that loops and branches carry. given: vectors that other
-  /// ops define.
+  /// carried: chosen vectors that loops and branches carry. given: chosen
+  /// vectors that other ops define.
   SmallVector<Value> carried, given;
 };
 } // namespace
@@ -138,7 +140,7 @@ static RankedTensorType getTensorType(Value vector) {
   return RankedTensorType::get({type.getNumElements()}, type.getElementType());
 }
 
-/// An attribute of the buffers of this pass while it runs.
+/// An attribute that marks the buffers of this pass while it runs.
 static constexpr llvm::StringLiteral kBufferAttrName = "tai.of_vector";
 
 static memref::AllocaOp createBuffer(OpBuilder &builder, Location loc,
@@ -220,8 +222,8 @@ void VectorReplacer::collect(Operation *op, const MemoryVectors &vectors) {
   accesses.push_back(std::move(access));
 }
 
-/// Whether the index is below `count`: a constant, or a select that tests the
-/// index as an unsigned number, as the frontend emits it.
+/// True if the index is certainly below `count`: a constant, or a select that
+/// tests the index as an unsigned number, as the frontend emits it.
 static bool isKnownBelow(Value index, int64_t count) {
   if (std::optional<int64_t> constant = getConstantIntValue(index))
     return *constant >= 0 && *constant < count;
@@ -242,8 +244,8 @@ static bool isKnownBelow(Value index, int64_t count) {
          *other < count;
 }
 
-/// The row-major number of a component; `isInRange` stays null if the position
-/// is certainly in range.
+/// Emits the row-major number of a component; `isInRange` stays null if the
+/// position is certainly in range.
 static Value getNumber(ImplicitLocOpBuilder &b, ArrayRef<OpFoldResult> position,
                        VectorType type, Value &isInRange) {
   Value number;
@@ -298,7 +300,8 @@ void VectorReplacer::replaceWrite(const Access &access) {
   op.erase();
 }
 
-/// Gives an op that uses whole vectors vectors of the components.
+/// Replaces the operands of an op that uses whole vectors: the op gets vectors
+/// built from the components.
 void VectorReplacer::replaceOther(const Access &access) {
   ImplicitLocOpBuilder b(access.op->getLoc(), access.op);
   for (auto [number, type] : access.operands) {
@@ -311,7 +314,7 @@ void VectorReplacer::replaceOther(const Access &access) {
   }
 }
 
-/// Replaces a vector by a tensor or a buffer of its components, for its users.
+/// Replaces a vector, for its users, by a tensor or a buffer of its components.
 void VectorReplacer::replaceDefinition(Value vector) {
   ImplicitLocOpBuilder b(vector.getLoc(), vector.getContext());
   b.setInsertionPointAfterValue(vector);
@@ -366,7 +369,8 @@ void VectorReplacer::run() {
       value.setType(getTensorType(value));
     }
   }
-  // Accesses are in program order, so operands are replaced before their users.
+  // Accesses are in program order, so that operands are replaced before their
+  // users.
   for (const Access &access : accesses) {
     switch (access.kind) {
     case Kind::Read:
@@ -409,11 +413,13 @@ static LogicalResult copyBuffer(OpBuilder &builder, Location loc, Value from,
   return success();
 }
 
-/// Turns tensors into buffers; fails where upstream's analysis leaves a tensor.
+/// Turns tensors into buffers; fails where upstream's analysis leaves a tensor
+/// in place.
 static LogicalResult bufferizeTensors(FunctionOpInterface function) {
   bufferization::OneShotBufferizationOptions options;
   options.allowUnknownOps = true;
-  // Allow loops to return allocations: whether any loop does is checked below.
+  // Loops may return allocations here; the check below refuses functions in
+  // which a loop does.
   options.allowReturnAllocsFromLoops = true;
   options.allocationFn = [](OpBuilder &builder, Location loc, MemRefType type,
                             ValueRange, unsigned) -> FailureOr<Value> {
@@ -436,7 +442,7 @@ static LogicalResult simplifyControlFlow(FunctionOpInterface function) {
   return applyPatternsGreedily(function.getFunctionBody(), std::move(patterns));
 }
 
-/// Whether the buffers of this pass are only loaded from and stored to.
+/// True if the buffers of this pass are only loaded from and stored to.
 static bool isOfPlainAccesses(FunctionOpInterface function) {
   auto isTensor = [](Type type) { return isa<TensorType>(type); };
   WalkResult result = function.walk([&](Operation *op) {
@@ -451,8 +457,8 @@ static bool isOfPlainAccesses(FunctionOpInterface function) {
   return !result.wasInterrupted();
 }
 
-/// Moves the buffers out of loops. Iterations can share a buffer, because its
-/// contents are undefined at the beginning of an iteration.
+/// Moves the buffers of vectors out of loops. Iterations can share a buffer,
+/// because its contents are undefined at the beginning of an iteration.
 static void hoistBuffers(FunctionOpInterface function) {
   SmallVector<Operation *> buffers;
   function.walk([&](memref::AllocaOp op) {
@@ -497,8 +503,8 @@ struct VectorsToMemory : tai::impl::VectorsToMemoryBase<VectorsToMemory> {
             succeeded(simplifyControlFlow(function)) &&
             isOfPlainAccesses(function))
           return hoistBuffers(function);
-        // Restore the function, to try again without vectors that need copies
-        // or to keep scalars.
+        // The function is restored, to try again without vectors that need
+        // copies, or to keep scalars.
         auto kept = cast<FunctionOpInterface>(*before);
         function.getFunctionBody().takeBody(kept.getFunctionBody());
       }

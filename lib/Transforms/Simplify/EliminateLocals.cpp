@@ -26,16 +26,16 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Variables in the order in which they are made, so that results come in a
-/// fixed order.
+/// Local variables in the order in which they are made, so that results of new
+/// ops come in a fixed order.
 using Locals = llvm::SetVector<Value>;
 
-/// True if the pass can follow a variable into the regions of `op`.
+/// True if the pass can follow a local variable into the regions of `op`.
 static bool canCross(Operation *op) {
   return isa<scf::IfOp, scf::ForOp, scf::WhileOp>(op);
 }
 
-/// Checks every use of a variable before anything changes.
+/// Checks every use of a local variable before anything changes.
 static LogicalResult checkUses(AllocaOp alloca) {
   for (Operation *user : alloca->getUsers()) {
     if (!isa<LocalLoadOp, LocalStoreOp>(user))
@@ -65,7 +65,8 @@ class Eliminator {
 public:
   explicit Eliminator(MLIRContext *context) : builder(context) {}
 
-  /// Replaces the variables `allocas`, which are inside of `root`.
+  /// Replaces the local variables `allocas`, which are inside of `root`, by SSA
+  /// values.
   void run(Operation *root, ArrayRef<AllocaOp> allocas) {
     for (AllocaOp alloca : allocas)
       for (Operation *user : alloca->getUsers())
@@ -202,7 +203,8 @@ private:
 
   OpBuilder builder;
   DenseMap<Value, Value> current;
-  /// For an op with regions, the variables from outside that its regions write.
+  /// For an op with regions, the local variables from outside that its regions
+  /// write.
   DenseMap<Operation *, Locals> written;
   SmallVector<Operation *> dead;
 };

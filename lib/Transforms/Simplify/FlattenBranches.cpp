@@ -40,12 +40,12 @@ static bool mayRunAnyway(Operation *op) {
   return isMemoryEffectFree(op) || isa<LoadOp>(op);
 }
 
-/// True if the result of `op`, and its derivative, are finite wherever its
-/// operands are.
+/// True if the result of `op`, and the derivative of the result, are finite
+/// wherever the operands of `op` are.
 static bool staysFinite(Operation *op, FloatFacts &facts) {
   if (mayHaveNonFinitePartial(op, facts))
     return false;
-  // The result of `op` may be non-finite only where an operand may be.
+  // The result of `op` may be non-finite only where one of its operands is.
   return llvm::none_of(op->getResults(), [&](Value result) {
     return isFloatOrVector(result.getType()) && facts.mayBeNonFinite(result) &&
            llvm::none_of(op->getOperands(), [&](Value operand) {
@@ -55,7 +55,7 @@ static bool staysFinite(Operation *op, FloatFacts &facts) {
   });
 }
 
-/// True if the type can pass through `arith.select`.
+/// True if values of the type can pass through `arith.select`.
 static bool canSelect(Type type) {
   return type.isIntOrIndexOrFloat() || isa<VectorType>(type);
 }
@@ -65,7 +65,8 @@ struct FlattenBranches : tai::impl::FlattenBranchesBase<FlattenBranches> {
   using Base::Base;
 
   void runOnOperation() override {
-    // Inner branches first: once flat they no longer hold back outer ones.
+    // Inner branches are flattened first, because a branch can only be
+    // flattened if it contains no other branch.
     SmallVector<scf::IfOp> branches;
     walkOwned(getOperation(), [&](Operation *owned) {
       owned->walk<WalkOrder::PostOrder>(
@@ -94,7 +95,8 @@ struct FlattenBranches : tai::impl::FlattenBranchesBase<FlattenBranches> {
           << remark::metric("Reason", reason.str());
   }
 
-  /// The reason to keep the branch; empty if it is to be flattened.
+  /// Returns the reason to keep the branch; empty if the branch is to be
+  /// flattened.
   StringRef findReasonToKeep(scf::IfOp branch) {
     if (!llvm::all_of(branch.getResultTypes(), canSelect))
       return "a result has a type that cannot be selected";

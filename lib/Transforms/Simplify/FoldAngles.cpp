@@ -30,7 +30,7 @@ namespace mlir::tai {
 using namespace mlir;
 
 namespace {
-/// Computes constant expressions, each of them once.
+/// Evaluates constant expressions, each of them once.
 class Constants {
 public:
   /// Returns the constant that equals `value`; null if the value is not
@@ -64,7 +64,8 @@ Attribute Constants::compute(Value value) {
     if (!operands.back())
       return {};
   }
-  // Folding may change an op in place without yielding a constant.
+  // Folding may change an op in place without yielding a constant, so a copy is
+  // folded.
   Operation *copy = op->clone();
   SmallVector<OpFoldResult> results;
   bool isFolded = succeeded(copy->fold(operands, results)) && !results.empty();
@@ -77,7 +78,7 @@ Attribute Constants::compute(Value value) {
   return get(cast<Value>(result));
 }
 
-/// The components of a constant.
+/// Returns the components of a constant.
 static SmallVector<APFloat> getNumbers(Attribute attribute) {
   if (auto elements = dyn_cast<DenseFPElementsAttr>(attribute))
     return llvm::to_vector(elements.getValues<APFloat>());
@@ -92,7 +93,7 @@ static double toDouble(APFloat number) {
   return number.convertToDouble();
 }
 
-/// The angles as a constant, if one of them is the angle of the origin.
+/// Returns the angles as a constant, if one of them is the angle of the origin.
 static TypedAttr foldAngle(math::Atan2Op op, Constants &constants) {
   Attribute y = constants.get(op.getLhs()), x = constants.get(op.getRhs());
   if (!x || !y)
@@ -115,8 +116,8 @@ static TypedAttr foldAngle(math::Atan2Op op, Constants &constants) {
   return FloatAttr::get(op.getType(), angles.front());
 }
 
-/// True if the index fits 32 bits, as all index spaces do: a loop index, a
-/// size, a constant or integer of that width, or a sum of these.
+/// True if the index fits 32 bits, as the indices of all fields do: a loop
+/// index, a size, a constant or integer of that width, or a sum of these.
 static bool isOfIndexSpace(Value value) {
   if (auto argument = dyn_cast<BlockArgument>(value)) {
     Operation *parent = argument.getOwner()->getParentOp();
@@ -143,7 +144,8 @@ static bool isOfIndexSpace(Value value) {
          !isa<tai::LocalLoadOp>(op);
 }
 
-/// index_cast %x : index to i8  ->  trunci (index_cast %x : index to i64) to i8
+/// A cast of an index to a narrow integer becomes a truncation: index_cast %x :
+/// index to i8 -> trunci (index_cast %x : index to i64) to i8
 template <typename Op> static bool keepTruncation(Op op) {
   auto narrow = dyn_cast<IntegerType>(op.getType());
   if (!narrow || !op.getIn().getType().isIndex() || narrow.getWidth() >= 64 ||
@@ -164,7 +166,8 @@ struct FoldAngles : tai::impl::FoldAnglesBase<FoldAngles> {
 
   void runOnOperation() override {
     Constants constants;
-    // `Constants` caches by the address of values: ops are erased last.
+    // The cache of constants is keyed by the addresses of values, so ops are
+    // erased last.
     SmallVector<Operation *> replaced;
     tai::walkOwned(getOperation(), [&](Operation *owned) {
       owned->walk([&](math::Atan2Op op) {

@@ -41,8 +41,8 @@ static FrozenRewritePatternSet getCanonicalization(MLIRContext *context) {
   return FrozenRewritePatternSet(std::move(patterns), tai::getBrokenPatterns());
 }
 
-/// The ops of a block and of its nested regions, the last op first: the
-/// rewriter takes ops from the end of the list.
+/// Returns the ops of a block and of its nested regions, the last op first,
+/// because the rewriter takes ops from the end of the list.
 static SmallVector<Operation *> collect(Block &block) {
   SmallVector<Operation *> ops;
   block.walk<WalkOrder::PreOrder>([&](Operation *op) { ops.push_back(op); });
@@ -72,7 +72,7 @@ struct SameOp : public llvm::DenseMapInfo<Operation *> {
 };
 } // namespace
 
-/// Merges equal ops of a block.
+/// Merges equal ops of a block into one.
 static void mergeEqual(Block &block) {
   DenseSet<Operation *, SameOp> values, reads;
   for (Operation &op : llvm::make_early_inc_range(block)) {

@@ -37,7 +37,8 @@ namespace {
 /// Sinks the code after a branch into one of its arms.
 class Sinking {
 public:
-  /// `zeroArm`, the arm that yields zeros, is 0 for then and 1 for else.
+  /// Sinks ops into an arm of a branch. `zeroArm`, the arm that yields zeros,
+  /// is 0 for then and 1 for else.
   Sinking(scf::IfOp branch, unsigned zeroArm)
       : branch(branch), zeroArm(zeroArm) {}
   bool run();
@@ -63,7 +64,8 @@ private:
   unsigned zeroArm;
   SmallVector<Operation *> tail;
   DenseSet<Value> zeros;
-  /// Operands of the block's terminator that ops after the branch compute.
+  /// Operands of the block's terminator that are computed by ops after the
+  /// branch.
   SmallVector<OpOperand *> yielded;
   DenseSet<Operation *> cloned;
 };
@@ -129,8 +131,8 @@ Value Sinking::skipZeros(Value value) const {
   return value;
 }
 
-/// Counts the ops of the tail that `zeroArm` needs for `value` as well. False
-/// if they are too many to be cloned.
+/// Counts the ops after the branch that `zeroArm` needs for `value` as well.
+/// False if they are too many to be cloned.
 bool Sinking::countClones(Value value) {
   constexpr size_t most = 8;
   value = skipZeros(value);

@@ -28,7 +28,8 @@ struct VerifyInlinable : tai::impl::VerifyInlinableBase<VerifyInlinable> {
 
   void runOnOperation() override {
     markAllAnalysesPreserved();
-    // Skip a module without tai ops, in which pipelines inline no calls.
+    // A module without tai ops is skipped, because pipelines inline no calls in
+    // it.
     if (llvm::none_of(*getOperation().getBody(),
                       [](Operation &op) { return tai::belongsToTai(&op); }))
       return;

@@ -69,13 +69,13 @@ Type Widening::widen(Type type) {
   return target;
 }
 
-/// True for an array that the kernel allocates.
+/// True for memory of an array that the kernel itself allocates.
 bool Widening::isOwnMemory(Value memory) {
   return isa_and_nonnull<memref::AllocaOp, AllocaOp>(memory.getDefiningOp());
 }
 
-/// True if the types of the operation follow from something that this pass does
-/// not change.
+/// True if the types of the operation follow from types that this pass does not
+/// change.
 bool Widening::keepsTypes(Operation *op) {
   if (isa<memref::AllocaOp, AllocaOp, LocalLoadOp, LocalStoreOp>(op))
     return false;
@@ -117,8 +117,8 @@ static Attribute widenNumber(Attribute attr, Type type, FloatType target) {
 }
 
 void Widening::widenAttributes(Operation *op) {
-  // A constant of the type `target` gets a widened value; a constant of a wider
-  // type stays as it is.
+  // A constant of the type to be widened gets a widened value; a constant of a
+  // wider type stays as it is.
   if (auto constant = dyn_cast<arith::ConstantOp>(op);
       constant && getElementTypeOrSelf(constant.getType()) == target)
     constant.setValueAttr(cast<TypedAttr>(
@@ -133,10 +133,11 @@ void Widening::widenUses(OpBuilder &builder, Value value) {
   value.replaceAllUsesExcept(cast, cast);
 }
 
-/// Casts the operands of `op` back to `operandTypes`, and widens its results.
+/// Keeps the types of `op`: casts its operands back to `operandTypes`, and
+/// widens its results.
 void Widening::keep(Operation *op, ArrayRef<Type> operandTypes) {
   OpBuilder builder(op);
-  // An extension to the wide type is redundant if its operand now has this
+  // An extension to the wide type is redundant if its operand now has the wide
   // type.
   if (auto extension = dyn_cast<arith::ExtFOp>(op);
       extension && extension.getIn().getType() == widen(extension.getType())) {
@@ -157,8 +158,8 @@ void Widening::keep(Operation *op, ArrayRef<Type> operandTypes) {
 }
 
 void Widening::run() {
-  // An op whose types do not change, and the types of its operands before other
-  // types change.
+  // An op whose types do not change, and the types that its operands had before
+  // other types changed.
   struct Kept {
     Operation *op;
     SmallVector<Type> operandTypes;

@@ -32,7 +32,7 @@ struct TestFailure : tai::impl::TestFailureBase<TestFailure> {
       return;
     if (!invalid)
       return signalPassFailure();
-    // An invalid op: a return outside of any kernel.
+    // This pass makes an invalid op: a return outside of any kernel.
     OpBuilder builder = OpBuilder::atBlockEnd(getOperation().getBody());
     ReturnOp::create(builder, getOperation().getLoc(), ValueRange());
   }

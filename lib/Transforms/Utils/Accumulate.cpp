@@ -13,15 +13,15 @@ using namespace mlir;
 using namespace mlir::tai;
 
 LogicalResult tai::checkOrderIsFixed(ParallelForOp loop) {
-  // Skip a loop that a warp runs together: its additions are put in order when
-  // the loop is lowered.
+  // A loop that a warp runs together is skipped, because its additions are put
+  // in order when the loop is lowered.
   if (!loop.getOrder() || loop.getSerialize() || loop.getInWarp())
     return success();
   WalkResult result = loop.walk([&](LLVM::AtomicRMWOp update) {
     bool isSum = update.getBinOp() == LLVM::AtomicBinOp::fadd ||
                  update.getBinOp() == LLVM::AtomicBinOp::fsub;
-    // Skip updates of memory that an iteration allocates, which no other
-    // iteration shares.
+    // Updates of memory that an iteration allocates are skipped, since no other
+    // iteration shares this memory.
     Value memory = update.getPtr();
     while (auto element = memory.getDefiningOp<LLVM::GEPOp>())
       memory = element.getBase();
@@ -82,7 +82,8 @@ Value tai::emitPlainUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
   return old;
 }
 
-/// The LLVM instruction for `kind`, if there is one.
+/// Returns the LLVM instruction for an atomic update of `kind`, if there is
+/// one.
 static std::optional<LLVM::AtomicBinOp> getBinOp(AtomicKind kind,
                                                  bool isFloat) {
   switch (kind) {
@@ -110,7 +111,8 @@ static std::optional<LLVM::AtomicBinOp> getBinOp(AtomicKind kind,
   llvm_unreachable("unknown kind");
 }
 
-/// Updates by compare-and-exchange, until no other thread has come in between.
+/// Emits an update by compare-and-exchange, repeated until no other thread has
+/// changed the element in between.
 static Value emitExchangeLoop(OpBuilder &builder, Location loc, AtomicKind kind,
                               Value value, Value pointer, AliasScopes scopes) {
   Type storage = getStorageType(value.getType());

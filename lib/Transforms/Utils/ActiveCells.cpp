@@ -11,8 +11,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether equal indices select the same cell of the innermost sparse level
-/// above both fields. The levels below that one may differ.
+/// True if equal indices select the same cell of the innermost sparse level
+/// above both fields. The levels below that sparse level may differ.
 static bool shareCells(const FieldInfo &a, const FieldInfo &b) {
   if (a.sparse.empty() || b.sparse.empty() || a.layout.tree != b.layout.tree ||
       a.sparse.back().node != b.sparse.back().node ||
@@ -38,8 +38,8 @@ void tai::markActive(ParallelForOp loop, FieldTable &fields) {
   if (failed(found) || (*found)->sparse.empty())
     return;
   const FieldInfo &field = **found;
-  // Give up if the loop deactivates cells, since the cell of the iteration may
-  // be one of them.
+  // A loop that deactivates cells gets no marks, since the cell of the
+  // iteration may be one of these cells.
   WalkResult deactivates =
       loop.walk([](DeactivateOp) { return WalkResult::interrupt(); });
   if (deactivates.wasInterrupted())

@@ -31,8 +31,8 @@ Value tai::emitDigit(OpBuilder &builder, Location loc, const FieldInfo &field,
                      const IndexDigit &digit, ValueRange zeroBased) {
   IndexMath math(builder, loc);
   Value value = math.div(zeroBased[digit.dimension], digit.divisor);
-  // The outermost digit of a dimension needs no remainder: an index in range
-  // cannot exceed it.
+  // The digit of a dimension at the outermost level needs no remainder, because
+  // an index in range cannot exceed it.
   if (digit.divisor * digit.extent == field.layout.shape[digit.dimension])
     return value;
   return math.rem(value, digit.extent);
@@ -100,7 +100,7 @@ unsigned tai::getListDimension(const FieldInfo &field) {
 
 Value tai::emitListNumber(OpBuilder &builder, Location loc,
                           const FieldInfo &field, ValueRange indices) {
-  // Use the index zero within the list, which addresses its first cell.
+  // The index zero within the list addresses the list's first cell.
   SmallVector<Value> all(indices);
   unsigned dimension = getListDimension(field);
   IndexMath math(builder, loc);
@@ -151,7 +151,8 @@ Value tai::emitFieldBase(OpBuilder &builder, Location loc,
 //===----------------------------------------------------------------------===//
 
 unsigned tai::getAlignment(const FieldInfo &field, ValueRange components) {
-  // Trees start at multiples of 64 bytes; no access needs more than 16.
+  // The alignment is at most 16 bytes: trees start at multiples of 64 bytes,
+  // and no access needs more than 16.
   uint64_t multiples = 16 | field.storage.offset;
   for (const IndexDigit &digit : field.storage.digits)
     if (digit.extent != 1)
@@ -188,7 +189,8 @@ Value tai::emitPointer(OpBuilder &builder, Location loc, Type storageType,
       LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
 }
 
-/// Removes a small constant that is added to `index`, and returns it.
+/// Splits a small constant off `index`, to which the program adds it, and
+/// returns the constant.
 static int64_t peelConstant(OpBuilder &builder, Location loc, Value &index) {
   // The index of an access is in range, so a sum within `most` of it is far
   // from the limits of its type and does not overflow.
@@ -198,7 +200,8 @@ static int64_t peelConstant(OpBuilder &builder, Location loc, Value &index) {
   bool isCast = false;
   for (;;) {
     Operation *op = value.getDefiningOp();
-    // Sums outside of parallel loops are computed only once.
+    // Sums outside of parallel loops are computed only once, so they are not
+    // split.
     if (op && !op->getParentOfType<ParallelForOp>())
       break;
     if (auto cast = dyn_cast_if_present<arith::IndexCastOp>(op);
@@ -229,8 +232,8 @@ static int64_t peelConstant(OpBuilder &builder, Location loc, Value &index) {
   return sum;
 }
 
-/// The address distance, in bytes, of neighbouring elements along each
-/// dimension; 0 where it varies or is large.
+/// Returns the address distance, in bytes, of neighbouring elements along each
+/// dimension; 0 where the distance varies or is large.
 static SmallVector<int64_t> getStrides(const FieldInfo &field) {
   SmallVector<int64_t> strides(field.layout.shape.size(), 0);
   llvm::SmallDenseSet<unsigned> several;

@@ -13,8 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The number of iterations of one round, in which each lane of each chunk gets
-/// one more term.
+/// The number of iterations in one round, in which each lane (partial sum) of
+/// each chunk gets one more term.
 constexpr int64_t kRound = SumOrder::kChunks * SumOrder::kLanes;
 
 Type tai::getLaneType(AtomicKind kind, Type type) {

@@ -18,8 +18,8 @@ bool mlir::tai::mayBeVectorized(Block &block) {
     loop = loop->getParentOp();
   if (!isa_and_nonnull<ParallelForOp>(loop))
     return false;
-  // A loop stays scalar if it contains inner loops, atomics or small dense
-  // algebra.
+  // A loop stays scalar if its body contains inner loops, atomics or small
+  // dense algebra.
   return !loop->walk([&](Operation *op) {
                 if (op != loop && isa<LoopLikeOpInterface>(op))
                   return WalkResult::interrupt();

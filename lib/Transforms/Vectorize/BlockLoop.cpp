@@ -15,11 +15,11 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The shortest row that is worth vector operations, and the longest one that
-/// LLVM splits into a few registers.
+/// The shortest row of elements that is worth vector operations, and the
+/// longest row that LLVM splits into a few registers.
 static constexpr int64_t kShortestRow = 4, kLongestRow = 64;
 
-/// The largest distance of neighbours in a row, in elements.
+/// The largest distance of neighbours in a row, in elements of the field.
 static constexpr int64_t kLargestStep = 4;
 
 const IndexDigit *tai::findInnermost(const FieldInfo &field,
@@ -58,7 +58,8 @@ bool BlockLoop::findBlock(FieldTable &fields) {
   return true;
 }
 
-/// Whether each block lies in one cell of a sparse level of another field.
+/// True if each block of the loop lies in one cell of a sparse level of another
+/// field.
 bool BlockLoop::coversBlocks(const FieldInfo &other, unsigned level) const {
   if (other.layout.offset != field->layout.offset)
     return false;
@@ -132,8 +133,8 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       std::optional<ConstantStretch> stretch =
           getConstantStretch(result, variables.front(), field->layout.offset[d],
                              field->layout.offset[d] + field->layout.shape[d]);
-      // A condition that is constant over less than half of the dimension would
-      // leave a small interior: skip it.
+      // A condition that is constant over less than half of the dimension is
+      // not split off, since little of the loop would be without the condition.
       if (!stretch ||
           2 * (stretch->upper - stretch->lower) < field->layout.shape[d])
         continue;
@@ -142,8 +143,8 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       upper[d] = std::min(upper[d], stretch->upper);
     }
   });
-  // Find truth values that follow from the conditions that are constant in the
-  // interior.
+  // Truth values that follow from the conditions that are constant in the
+  // interior are found here.
   body.walk([&](Operation *op) {
     if (op->getNumResults() != 1 || answers.contains(op->getResult(0)) ||
         !op->getResult(0).getType().isInteger(1))
@@ -158,12 +159,13 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       operands.push_back(constant);
     }
     SmallVector<OpFoldResult> results;
-    // Fold a clone of the op, because folding may change an op in place.
+    // A clone of the op is folded, because folding may change an op in place.
     Operation *copy = op->cloneWithoutRegions();
     std::optional<bool> answer;
     if (succeeded(copy->fold(operands, results)) && results.size() == 1) {
       if (auto same = dyn_cast<Value>(results[0])) {
-        // The op folds to one of its operands, whose truth value may be known.
+        // The op folds to one of its operands, whose truth value may be known
+        // already.
         if (auto known = answers.find(same); known != answers.end())
           answer = known->second;
       } else if (auto constant =
@@ -206,8 +208,8 @@ bool BlockLoop::getForm(Value index, IndexForm &form) {
   return true;
 }
 
-/// Whether a row of the loop is a row, or a part of one or two rows, of the
-/// field that is accessed.
+/// True if a row of iterations accesses elements in one row, or in parts of two
+/// rows, of the field.
 bool BlockLoop::isRowAccess(BlockAccess &access) {
   const FieldInfo &other = *access.field;
   for (auto [position, form] : llvm::enumerate(access.indices)) {
@@ -229,8 +231,8 @@ bool BlockLoop::isRowAccess(BlockAccess &access) {
          digit->extent == rowLength();
 }
 
-/// Whether the written row is one row of blocks that are active, or that one op
-/// can activate.
+/// True if the written elements are in one row of blocks that are active, or
+/// that one op can activate.
 bool BlockLoop::canWrite(BlockAccess &access) {
   if (!access.rowIndex)
     return false;
@@ -277,11 +279,12 @@ bool BlockLoop::addAccess(Operation *op, FieldTable &fields) {
   BlockAccess access{op, *found, {}, 0, std::nullopt};
   const FieldInfo &other = *access.field;
   ValueRange indices = named.getIndices(), components = named.getComponents();
-  // Only operations on an iteration's own data can be done a row at a time.
+  // Only operations on an iteration's own data can be done for a whole row at a
+  // time.
   if (auto atomic = dyn_cast<AtomicOp>(op);
       atomic && (!atomic.getExclusive() || !atomic->use_empty()))
     return false;
-  // Truth values are stored as bytes.
+  // Truth values are stored in memory as bytes.
   Type scalar = other.scalarType;
   if (!isa<FloatType>(scalar) &&
       !(isa<IntegerType>(scalar) && !scalar.isInteger(1)))
@@ -304,7 +307,7 @@ bool BlockLoop::addAccess(Operation *op, FieldTable &fields) {
   return true;
 }
 
-/// Whether an op of scalars does the same to each element of a vector.
+/// True if a scalar op has a vector form that does the same to each element.
 static bool isRowOp(Operation *op) {
   if (isa_and_present<math::MathDialect>(op->getDialect()) &&
       !isa<math::AbsFOp, math::AbsIOp, math::SqrtOp, math::FloorOp,
@@ -348,7 +351,7 @@ bool BlockLoop::analyzeBody(Block &block, FieldTable &fields) {
   return true;
 }
 
-/// Whether a storage that is written is also accessed at other places: the
+/// True if a storage that is written is also accessed at other places. The
 /// order of the iterations of a block would then matter.
 static bool readsNeighboursOfWrites(
     const llvm::MapVector<Operation *, BlockAccess> &accesses) {

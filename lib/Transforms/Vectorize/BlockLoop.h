@@ -31,39 +31,41 @@ struct IndexForm {
   bool isShift() const { return !invariant; }
 };
 
-/// An access and its analysed indices.
+/// A memory access of the loop and its analysed indices.
 struct BlockAccess {
   Operation *op;
   const FieldInfo *field;
   SmallVector<IndexForm> indices;
-  /// Position of the component in an element.
+  /// The position of the accessed component in an element.
   int64_t component = 0;
-  /// The index that varies along the row; none for an access that is the same
-  /// for the whole row.
+  /// The number of the index that varies along the row; none for an access that
+  /// is the same for the whole row.
   std::optional<unsigned> rowIndex;
 };
 
-/// The digit of an index along the dimension that counts single elements; null
-/// if there is none.
+/// Returns the digit of an index along the dimension that counts single
+/// elements; null if there is none.
 const IndexDigit *findInnermost(const FieldInfo &field, unsigned dimension);
 
 class BlockLoop {
 public:
-  /// Analyses the loop; nullopt if it cannot run on whole rows.
+  /// Analyses the loop; nullopt if its iterations cannot be executed a whole
+  /// row of elements at a time.
   static std::optional<BlockLoop> analyze(ParallelForOp loop,
                                           FieldTable &fields);
 
   ParallelForOp loop;
   const FieldInfo *field = nullptr;
-  /// Extent of a block along each dimension.
+  /// The extent of a block of the loop along each dimension.
   SmallVector<int64_t> extents;
-  /// The dimension along which a row runs.
+  /// The dimension along which the rows of a block run.
   unsigned rowDimension = 0;
   int64_t rowLength() const { return extents[rowDimension]; }
 
-  /// The accesses, in program order.
+  /// The memory accesses of the loop, in program order.
   llvm::MapVector<Operation *, BlockAccess> accesses;
-  /// The constant conditions in the interior, the blocks in [lower, upper).
+  /// The conditions that are constant in the interior, and their values. The
+  /// interior is the range of blocks [lower, upper).
   llvm::DenseMap<Value, bool> answers;
   SmallVector<int64_t> lower, upper;
   /// A neighbouring cell that must be active in the interior: the queried
@@ -79,7 +81,7 @@ public:
     }
   };
   SmallVector<Neighbour> neighbours;
-  /// Stores whose cell must be activated.
+  /// Stores to fields whose cell must be activated before.
   SmallVector<BlockAccess *> activations;
   /// The number of ops of an iteration in the interior.
   int64_t numOps = 0;
@@ -94,7 +96,8 @@ private:
   bool getForm(Value index, IndexForm &form);
   bool isRowAccess(BlockAccess &access);
   bool canWrite(BlockAccess &access);
-  /// Restricts the interior to blocks in which the access is within its field.
+  /// Restricts the interior to blocks in which the access stays within its
+  /// field.
   void require(const BlockAccess &access);
 };
 

@@ -20,7 +20,7 @@ RowBuilder::RowBuilder(OpBuilder &builder, const BlockLoop &block,
   findNeeded();
 }
 
-/// Finds the ops that compute stored values of the interior.
+/// Finds the ops that compute the stored values of blocks in the interior.
 void RowBuilder::findNeeded() {
   SmallVector<Value> pending;
   for (const auto &[op, access] : block.accesses) {
@@ -128,8 +128,8 @@ Value RowBuilder::emitIndex(const BlockAccess &access, const IndexDigit &digit,
 
 Value RowBuilder::emitRowPointer(const BlockAccess &access, int64_t blocks) {
   const FieldInfo &field = *access.field;
-  // Add constants last, so that the addresses of several blocks share the other
-  // terms.
+  // Constants are added last, so that the addresses of several blocks share the
+  // other terms.
   Value offset = math.constant(0);
   int64_t known = 0;
   for (const IndexDigit &digit : field.storage.digits) {
@@ -143,7 +143,8 @@ Value RowBuilder::emitRowPointer(const BlockAccess &access, int64_t blocks) {
       offset = math.add(offset, math.mul(value, stride));
   }
   offset = math.add(offset, math.constant(known));
-  // The address starts at the beginning of the first cell of the row.
+  // The address is where the first cell of the row of iterations begins; the
+  // place of the field within a cell comes later.
   return emitPointer(builder, loc, field.scalarType,
                      emitTreeAddress(builder, loc, field,
                                      field.storage.offset - field.cellOffset),
@@ -159,7 +160,7 @@ static Value shuffle(OpBuilder &builder, Location loc, Value a, Value b,
   return LLVM::ShuffleVectorOp::create(builder, loc, a, b, mask);
 }
 
-/// The integers first, first + step, and so on: `count` of them.
+/// Returns `count` integers: first, first + step, and so on.
 static SmallVector<int32_t> getSteps(int64_t first, int64_t step,
                                      int64_t count) {
   SmallVector<int32_t> mask;
@@ -312,7 +313,8 @@ void RowBuilder::emitAccess(const BlockAccess &access) {
   if (auto load = dyn_cast<LoadOp>(access.op)) {
     if (!needed.contains(load))
       return;
-    // Without a row index, all iterations read the same element: a scalar.
+    // An access without a row index reads the same element in all iterations: a
+    // scalar.
     if (!access.rowIndex)
       builder.clone(*load, values);
     else

@@ -31,8 +31,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Emits whether the block at `origin` is in the interior; null if all blocks
-/// are.
+/// Emits the test whether the block at `origin` is in the interior; null if all
+/// blocks are.
 static Value emitIsInterior(OpBuilder &builder, const BlockLoop &block,
                             ValueRange origin) {
   Location loc = ParallelForOp(block.loop).getLoc();
@@ -44,8 +44,8 @@ static Value emitIsInterior(OpBuilder &builder, const BlockLoop &block,
     if (lower == layout.offset[d] &&
         upper == layout.offset[d] + layout.shape[d])
       continue;
-    // One unsigned comparison checks both ends: an index below `lower` wraps to
-    // a large number.
+    // One unsigned comparison checks both ends of the range, because an index
+    // below `lower` wraps to a large number.
     Value holds = arith::CmpIOp::create(
         builder, loc, arith::CmpIPredicate::ule, math.sub(index, lower),
         math.constant(upper - block.extents[d] - lower));
@@ -56,8 +56,9 @@ static Value emitIsInterior(OpBuilder &builder, const BlockLoop &block,
   return inside;
 }
 
-/// Activates the cells of other fields in which the block writes. Yields
-/// whether these cells and the neighbours are active and `inside` holds.
+/// Emits the activation of cells of other fields to which the block writes.
+/// Returns an i1: true if these cells and the neighbours are active and
+/// `inside` holds.
 static Value emitActivations(OpBuilder &builder, const BlockLoop &block,
                              ValueRange origin, Value inside, bool keeps) {
   Location loc = ParallelForOp(block.loop).getLoc();
@@ -99,7 +100,8 @@ static Value emitActivations(OpBuilder &builder, const BlockLoop &block,
                                      /*addElseBlock=*/true);
       OpBuilder then = OpBuilder::atBlockBegin(known.thenBlock());
       scf::YieldOp::create(then, loc, active);
-      // The activation may fail for want of memory: test the cell again.
+      // The activation may fail for want of memory, so the cell is tested
+      // again.
       OpBuilder otherwise = OpBuilder::atBlockBegin(known.elseBlock());
       ActivateOp::create(otherwise, loc, name, origin, up);
       active = IsActiveOp::create(otherwise, loc, otherwise.getI1Type(), name,
@@ -121,14 +123,14 @@ static void
 forEachRow(OpBuilder &builder, const BlockLoop &block, int64_t limit,
            function_ref<void(ArrayRef<OpFoldResult> distances)> body) {
   Location loc = ParallelForOp(block.loop).getLoc();
-  // Dimensions of more than one row, the outermost first.
+  // The dimensions with more than one row, the outermost first.
   SmallVector<std::pair<uint64_t, unsigned>> order;
   for (const IndexDigit &digit : block.field->storage.digits)
     if (digit.divisor == 1 && block.extents[digit.dimension] > 1 &&
         digit.dimension != block.rowDimension)
       order.push_back({digit.stride, digit.dimension});
   llvm::sort(order, std::greater<>());
-  // The innermost dimensions are unrolled.
+  // The innermost dimensions of the rows are unrolled.
   size_t loops = order.size();
   for (int64_t copies = 1; loops > 0; --loops) {
     copies *= block.extents[order[loops - 1].second];
@@ -169,8 +171,8 @@ static void emitElements(OpBuilder &builder, const BlockLoop &block,
   OpBuilder::InsertionGuard guard(builder);
   IndexMath math(builder, loc);
   SmallVector<Value> indices(origin);
-  // Unroll nothing: loops visit the elements in memory order, the row
-  // innermost.
+  // No loop is unrolled here: the loops visit the elements in memory order, the
+  // row innermost.
   forEachRow(builder, block, /*limit=*/0, [&](ArrayRef<OpFoldResult> rows) {
     auto row =
         scf::ForOp::create(builder, loc, math.constant(0),
@@ -206,8 +208,8 @@ static void vectorize(const BlockLoop &block, FieldTable &fields,
   builder.setInsertionPointToStart(&blocks.getBody().front());
   auto ivs = blocks.getInductionVars();
   SmallVector<Value> origin(ivs.begin(), ivs.end());
-  // tai-lower-struct-for counts the first element of each block as visited;
-  // count the other elements here.
+  // tai-lower-struct-for counts the first element of each block as visited; the
+  // other elements are counted here.
   int64_t elements = 1;
   for (int64_t extent : block.extents)
     elements *= extent;
@@ -216,8 +218,8 @@ static void vectorize(const BlockLoop &block, FieldTable &fields,
   Value inside = emitIsInterior(builder, block, origin);
   inside = emitActivations(builder, block, origin, inside, keeps);
   if (inside) {
-    // Mark this path as likely: the other one is long, and should take no
-    // registers from this one.
+    // The vector path is marked as likely, because the other path is long, and
+    // should take no registers from it.
     Value likely = arith::ConstantIntOp::create(builder, loc, 1, 1);
     inside = LLVM::ExpectOp::create(builder, loc, inside, likely);
     auto branch = scf::IfOp::create(builder, loc, inside,
@@ -226,7 +228,7 @@ static void vectorize(const BlockLoop &block, FieldTable &fields,
     emitElements(builder, block, origin);
     builder.setInsertionPointToStart(branch.thenBlock());
   }
-  // If there are two paths, the writes are counted in the other one.
+  // If there are two paths, the writes are counted in the scalar one.
   for (const auto &[op, access] : block.accesses)
     if (!inside && !isa<LoadOp>(op) && !access.field->sparse.empty())
       SkipScope::count(SkipCount::WritesDemoted);
@@ -252,7 +254,8 @@ struct VectorizeBlocks : tai::impl::VectorizeBlocksBase<VectorizeBlocks> {
     if (loops.empty())
       return;
     FieldTable fields(table);
-    // Look up all fields first, as alias scopes of accesses name other fields.
+    // All fields are looked up first, because the alias scopes of accesses name
+    // other fields.
     WalkResult known = getOperation()->walk([&](Operation *op) {
       FlatSymbolRefAttr name = getNamedField(op);
       return name && failed(fields.lookup(op, name)) ? WalkResult::interrupt()

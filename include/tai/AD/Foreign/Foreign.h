@@ -22,13 +22,14 @@ namespace mlir::tai {
 /// The function to which the derivative of `function` belongs: the original of
 /// a prepared copy, and otherwise `function` itself.
 FunctionOpInterface getOriginal(FunctionOpInterface function);
-/// Removes the prepared copies.
+/// Removes the prepared copies of functions, on which the differentiation of
+/// other compilers' code works.
 void erasePrepared(ModuleOp module);
 
 /// The attribute of a function whose derivative is two functions: a unit, or
 /// the names of the two functions once they are made.
 constexpr llvm::StringLiteral kSplit = "tai.split";
-/// True if the two functions have been made.
+/// True if a split derivative has been made: both of its functions exist.
 bool isSplit(FunctionOpInterface function);
 
 /// True if the derivative of the original has other arguments and results than
@@ -39,14 +40,15 @@ bool isWrapped(FunctionOpInterface prepared);
 func::FuncOp wrapDerivative(func::FuncOp original, func::FuncOp derivative,
                             bool isForward);
 
-/// Gives a derivative the visibility and the C interface of its function.
+/// Gives a derivative the visibility and the C interface of the differentiated
+/// function.
 void takeInterface(func::FuncOp original, func::FuncOp derivative);
 
-/// Replaces accesses of memory by vectors, and some ops of vectors, by ops on
-/// single elements.
+/// Replaces vector reads and writes of memory, and some ops on vectors, by ops
+/// on single elements.
 LogicalResult lowerVectors(func::FuncOp function);
 
-/// Replaces complex numbers by their parts.
+/// Replaces complex numbers by their real and imaginary parts.
 LogicalResult splitComplex(func::FuncOp function);
 /// Replaces arithmetic of the LLVM dialect by ops of arith and math.
 void liftArithmetic(func::FuncOp function);
@@ -56,7 +58,7 @@ void liftArithmetic(func::FuncOp function);
 /// branches choose. Local arrays are freed at the end of their blocks.
 LogicalResult normalizeMemory(func::FuncOp function);
 
-/// Replaces a parallel loop by serial ones.
+/// Replaces a parallel loop by nested serial loops.
 void serialize(scf::ParallelOp loop);
 
 } // namespace mlir::tai

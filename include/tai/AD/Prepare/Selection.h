@@ -37,7 +37,8 @@ LogicalResult checkIsFunction(FunctionOpInterface function);
 /// True if `storage`, a field or an array argument, may have an adjoint.
 bool mayHaveAdjoint(FunctionOpInterface function, Storage storage);
 
-/// Replaces each function that has a prepared copy by the copy.
+/// Replaces each function that has a prepared copy, made for differentiation,
+/// by the copy.
 void takePrepared(ModuleOp module,
                   SmallVectorImpl<FunctionOpInterface> &functions);
 

@@ -19,8 +19,9 @@
 
 namespace mlir::tai {
 
-/// Attaches to such products in a function the form that is differentiated
-/// instead (`tai.derive_as`), and removes these forms when it is destroyed.
+/// Attaches to products of the factors of a decomposition the equivalent
+/// function of the decomposed matrix, which is differentiated instead
+/// (`tai.derive_as`), and removes these forms when destroyed.
 class SpectralForms {
 public:
   explicit SpectralForms(FunctionOpInterface function);
@@ -32,12 +33,12 @@ private:
   FunctionOpInterface function;
 };
 
-/// The value as a constant: derivatives of a form that uses it do not pass
-/// through it.
+/// Returns `value` as a constant for differentiation: derivatives of a form
+/// that uses the constant do not pass through it.
 Value createConstantForm(ImplicitLocOpBuilder &builder, Value value);
 
-/// Replaces each `tai.derive_as` by its value, and erases ops that only the
-/// forms used.
+/// Replaces each `tai.derive_as` op by the value that the program computed, and
+/// erases ops that only the differentiated forms used.
 void dropForms(FunctionOpInterface function);
 
 /// Warns at each decomposition with an active factor (`isActive`): where

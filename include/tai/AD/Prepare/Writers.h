@@ -21,7 +21,7 @@
 
 namespace mlir::tai {
 
-/// Tells whether a derivative passes through an access.
+/// Decides for an access to memory whether derivatives pass through it.
 using StoreFilter = llvm::function_ref<bool(DifferentiableAccessInterface)>;
 
 /// True if iterations of a parallel loop of the function may store to the same

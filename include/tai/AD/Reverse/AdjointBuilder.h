@@ -60,16 +60,17 @@ struct Frame {
   Frame *parent;
   Block *primal;
   Block *mirror;
-  /// Recomputed ops are inserted between these two. Both are null in a frame
-  /// that only recomputes: its ops go to the end of the mirror.
+  /// In the mirror of a primal block, recomputed ops are inserted between these
+  /// two marker ops. Both are null in a frame that only recomputes primal
+  /// values: its ops go to the end of the mirror.
   Operation *recomputeBegin = nullptr;
   Operation *sweepBegin = nullptr;
-  /// Maps primal values of this block to values of the mirror.
+  /// Maps the values of the primal block to their values in its mirror.
   IRMapping values;
-  /// For each recomputed op, the first op of its copy.
+  /// For each recomputed primal op, the first op of its copy in the mirror.
   std::map<Operation *, Operation *, ProgramOrder> recomputed;
-  /// Adjoints known in this frame, of values of this block and of captured
-  /// values.
+  /// The adjoints known in this frame: of values that the primal block defines,
+  /// and of values captured from outside of the block.
   llvm::MapVector<Value, PartialAdjoint> adjoints;
   /// In the reverse of a serial loop: the number of the primal iteration, from
   /// 0, and the history that recovers the values with which it began.
@@ -78,9 +79,10 @@ struct Frame {
   /// The values of the primal block of `parent` that are forwarded to the
   /// arguments of this block; empty if the arguments come from elsewhere.
   SmallVector<Value> argumentValues;
-  /// The recorded values that have been popped in this frame.
+  /// The recorded primal values that have been popped from their stack in this
+  /// frame.
   DenseSet<Value> popped;
-  /// Buffers that are freed at the end of the block.
+  /// Buffers allocated in the mirror block, which are freed at its end.
   SmallVector<Value> buffers;
 };
 
@@ -91,11 +93,11 @@ public:
   AdjointBuilder(FunctionOpInterface adjoint, const AdjointPlan &plan);
   ~AdjointBuilder();
 
-  /// Builds the whole adjoint; the terminator is left to the caller. Fails
-  /// after an error at the op that cannot be differentiated.
+  /// Builds the adjoint function, except its terminator, which the caller adds.
+  /// Fails after an error at an op that cannot be differentiated.
   LogicalResult build();
-  /// The primal values and versions that the adjoint needs. The plan possibly
-  /// lacks some of them: the planner compares these demands with it
+  /// The primal values and versions of memory that the adjoint needs. The plan
+  /// possibly lacks some of them: the planner compares these demands with it
   /// (`AdjointPlanner::settle`).
   const PrimalDemands &getDemands() const { return demands; }
 
@@ -103,32 +105,35 @@ public:
   // For rules
   //===--------------------------------------------------------------------===//
 
-  /// True if the value is active.
+  /// True if a primal value is active: its adjoint can reach the result.
   bool isActive(Value value) const { return plan.activity.isActive(value); }
-  /// The primal value, recomputed in the adjoint kernel.
+  /// The primal value, recomputed in the adjoint kernel if necessary.
   Value getPrimal(Value value) override;
   SmallVector<Value> getPrimals(ValueRange values);
-  /// The adjoint, or null where it is zero.
+  /// The adjoint of a primal value, or null where the adjoint is zero.
   Value getAdjoint(Value value);
-  /// The adjoint, as a constant zero where it is zero.
+  /// The adjoint of a primal value, as a constant zero where it is zero.
   Value getAdjointOrZero(Value value);
-  /// Row-major components of the adjoint of a vector; null where zero.
+  /// Row-major components of the adjoint of a vector; components that are zero
+  /// are null.
   SmallVector<Value> getAdjointComponents(Value value);
-  /// Adds to the adjoint of `value`; nothing happens if it is not active or
-  /// the contribution is null.
+  /// Adds `contribution` to the adjoint of a primal value. Emits nothing if the
+  /// value is not active or the contribution is null (zero).
   void addAdjoint(Value value, Value contribution);
-  /// Adds to one component (row-major) of the adjoint of a vector.
+  /// Adds a contribution to one component (row-major) of the adjoint of a
+  /// vector.
   void addAdjointComponent(Value value, int64_t component, Value contribution);
-  /// True if the reverse of the access is not empty.
+  /// True if the reverse sweep emits operations for an access to memory.
   bool isReversed(Operation *access) const {
     return plan.activity.isActiveAccess(access) || zeroesAdjoint(access);
   }
-  /// True if the reverse of the store zeroes the adjoint of the element, for
-  /// the value before the store.
+  /// True if the reverse of the store zeroes the adjoint of the stored element,
+  /// which from then on is the adjoint of the element's value before the store.
   bool zeroesAdjoint(Operation *store) const {
     return plan.zeroing.isZeroedBy(store);
   }
-  /// True if a write may run after `read` and reach the same element.
+  /// True if a write of the primal kernel may run after `read` and reach the
+  /// same element.
   bool mayBeOverwritten(DifferentiableAccessInterface read) const {
     return static_cast<bool>(plan.accesses.findLaterWrite(read));
   }
@@ -140,7 +145,7 @@ public:
   const AdjointPlan &getPlan() const { return plan; }
   const Activity &getActivity() const { return plan.activity; }
   Frame &getFrame() { return *current; }
-  /// Makes `frame` the current one for the lifetime of the result.
+  /// Makes `frame` the current frame for the lifetime of the result.
   [[nodiscard]] llvm::SaveAndRestore<Frame *> enter(Frame &frame) {
     return llvm::SaveAndRestore<Frame *>(current, &frame);
   }
@@ -154,10 +159,12 @@ public:
                              llvm::function_ref<void(Frame &)> begin,
                              llvm::function_ref<void(Frame &)> end,
                              llvm::function_ref<void()> beforeSweep = {});
-  /// Mirrors a block for its primal values alone: the operands of its
-  /// terminator, and the terminator itself.
+  /// Mirrors a primal block in the adjoint kernel for its primal values alone:
+  /// emits the operands of the terminator, and the terminator itself, but no
+  /// reverse sweep.
   void recomputeBlock(Block *primal, Block *mirror);
-  /// The adjoints in `frame` of values defined outside of its block.
+  /// The adjoints, known in `frame`, of values defined outside of the block of
+  /// the frame.
   llvm::MapVector<Value, Value> takeCaptured(Frame &frame);
   /// Continues the sweep, in the current frame, through the ops of the
   /// enclosing block that define captured values, up to the reads from which
@@ -166,12 +173,12 @@ public:
   void sweepCaptured();
   /// The number of iterations of a serial loop, as an index.
   Value createTripCount(scf::ForOp loop);
-  /// True if values of the loop are recorded by forward re-execution, because
-  /// they cannot be recomputed from single iterations.
+  /// True if values that a serial loop carries are recorded by forward
+  /// re-execution, because they cannot be recomputed from single iterations.
   bool isRecordedLoop(Operation *loop) const {
     return plan.reexecution.holdsRecorded(loop);
   }
-  /// The number of times that the second region of `loop` ran.
+  /// The number of times that the second region of `loop`, its body, ran.
   Value fetchCount(scf::WhileOp loop);
 
   /// Before and after the reverse of a parallel loop: emit the derivatives of
@@ -180,15 +187,15 @@ public:
   LogicalResult beginContended(ParallelForOp loop);
   void endContended();
   /// Notes that the adjoint reads the field of the access as it was before the
-  /// launch.
+  /// launch of the primal kernel.
   void requireBefore(Operation *access) { demands.before.insert(access); }
   /// Notes that splitting the kernel into one kernel for each loop would avoid
   /// the failure.
   void requestSplit() { demands.parts = true; }
   /// True if the adjoint re-executes stores to the storage of the access.
   bool isReexecuted(Operation *access) const;
-  /// Checks that a read returns in the adjoint the value that it returned in
-  /// the primal.
+  /// Checks that a memory read returns in the adjoint the value that it
+  /// returned in the primal; notes a demand or reports an error otherwise.
   bool checkReadable(DifferentiableAccessInterface read);
 
   /// Counts the values that a reversed loop carries, and the recorded values
@@ -198,16 +205,18 @@ public:
     demands.recordedValues += recorded;
   }
 
-  /// Notes that the adjoint of `value` may be infinite though primal values are
-  /// finite.
+  /// Notes that the adjoint of `value` may be infinite even where all primal
+  /// values are finite.
   void markInfinite(Value value);
-  /// Notes that the adjoint of `value` may be NaN though all values are finite:
-  /// a derivative that does not exist.
+  /// Notes that the adjoint of `value` may be NaN, for a derivative that does
+  /// not exist, even where all primal values are finite.
   void markUndefined(Value value);
-  /// True if an incoming adjoint of the current rule may be NaN.
+  /// True if an incoming adjoint of the derivative rule being applied may be
+  /// NaN.
   bool isSeedUndefined() const;
 
-  /// Reports that `op` cannot be differentiated; building then fails.
+  /// Reports that `op` cannot be differentiated; building the adjoint then
+  /// fails.
   InFlightDiagnostic emitError(Operation *op, const Twine &message);
 
   bool hasFailed() const { return hasErrors; }

@@ -34,31 +34,35 @@ struct ValueShadows {
 };
 
 struct AdjointOptions {
-  /// All stores zero the adjoints of their elements: the option
-  /// `zero-overwritten` of `tai-make-adjoint`.
+  /// All stores of the kernel zero the adjoints of the stored elements: the
+  /// option `zero-overwritten` of `tai-make-adjoint`.
   bool zeroesAll = false;
-  /// Rules load values that the kernel has stored instead of recomputing them,
-  /// where that saves work.
+  /// Derivative rules load values that the kernel has stored instead of
+  /// recomputing these values, where that saves work.
   bool loadsStored = false;
-  /// The bytes of history that a loop may record at once; a longer history is
-  /// recorded in chunks.
+  /// The most bytes of carried values that the reverse of a serial loop may
+  /// record at once; longer loops are recorded in chunks.
   int64_t historyBytes = kDefaultHistoryBytes;
   SkipSet skips = SkipSet::all();
 };
 
-/// The memory of a function of arrays that is gone when its gradient runs:
-/// arrays of its own, and values of elements that it overwrites.
+/// Describes memory that no longer exists when the gradient of a function of
+/// arrays runs: arrays that the function allocates, and values of elements that
+/// the function overwrites. The gradient gets the values that it needs as
+/// recorded copies.
 struct LocalMemory {
   /// Tells `adjointOf` that `adjoint` holds the adjoint of `array`, which the
   /// function allocates. Null in kernels, whose own arrays have no adjoints.
   std::function<void(Value array, Value adjoint)> setAdjoint;
-  /// The results of reads that are recorded, each with the value of the record.
+  /// Maps results of primal reads that are recorded to the values in the
+  /// gradient that hold the recorded copies.
   DenseMap<Value, Value> recorded;
-  /// Arguments of the function that stand for records, and the records.
+  /// Pairs of a function argument that receives recorded values, and the
+  /// recorded values.
   SmallVector<std::pair<Value, Value>> records;
-  /// If not null, receives the reads that must be recorded.
+  /// If not null, collects the primal reads whose values must be recorded.
   llvm::SetVector<Operation *> *toRecord = nullptr;
-  /// All reads of memory that the function writes are recorded.
+  /// If true, all reads of memory that the function writes are recorded.
   bool recordsAll = false;
 
   Value resolve(Value value) const {
@@ -80,7 +84,7 @@ public:
                  bool zeroesAll);
 
   bool isZeroedBy(Operation *store) const { return stores.contains(store); }
-  /// True if a region of `op` holds a store that zeroes an adjoint.
+  /// True if a region of `op` holds a store whose reverse zeroes an adjoint.
   bool isHeldBy(Operation *op) const { return holders.contains(op); }
 
 private:
@@ -92,10 +96,12 @@ private:
 /// before it: see ForwardReexecution.h.
 class ReexecutionPlan {
 public:
-  /// Records the results of `op`: a read of an element that is overwritten, or
-  /// a random draw in a serial loop. False if it was planned before.
+  /// Plans to record the results of `op` in the second execution of the primal:
+  /// a read of an element that is overwritten, or a random draw in a serial
+  /// loop. False if this was planned before.
   bool addRecorded(Operation *op);
-  /// Re-executes the writes to a storage. False if it was planned before.
+  /// Plans to re-execute all writes of the primal to a storage. False if this
+  /// was planned before.
   bool addStorage(const void *storage) {
     return storages.insert(storage).second;
   }
@@ -104,9 +110,10 @@ public:
   /// True if the value comes from the second execution: the result of a
   /// recorded op, or a value that an op around a recorded op carries.
   bool isRecorded(Value value) const;
-  /// True if a region of `op` holds a recorded op.
+  /// True if a region of `op` holds an op whose results are recorded.
   bool holdsRecorded(Operation *op) const { return holders.contains(op); }
-  /// True for the blocks whose mirrors begin with a second execution.
+  /// True for primal blocks whose mirrors in the adjoint begin with a second
+  /// execution of primal ops.
   bool isReexecuted(Block *block) const { return blocks.contains(block); }
   bool isRewritten(const void *storage) const {
     return storages.contains(storage);
@@ -121,9 +128,9 @@ private:
   DenseSet<Block *> blocks;
 };
 
-/// The block that is re-executed to recover `op`: the body of the parallel loop
-/// around it, or the body of the function. Parallel loops marked as serialized
-/// count as serial.
+/// The primal block that is re-executed to recover the results of `op`: the
+/// body of the parallel loop around `op`, or else the body of the function.
+/// Parallel loops marked as serialized count as serial.
 Block *getReexecutedBlock(Operation *op);
 
 struct AdjointPlan {
@@ -137,37 +144,45 @@ struct AdjointPlan {
   Activity activity;
   AccessTable accesses;
   AdjointZeroing zeroing;
-  /// The storages that the adjoint accumulates into.
+  /// The adjoint storages to which the adjoint adds contributions.
   DenseSet<const void *> accumulated;
   ReexecutionPlan reexecution;
   LocalMemory local;
 
-  /// True for an array that a function makes, if such arrays have adjoints.
+  /// True for an array that the differentiated function allocates, if such
+  /// arrays have adjoints.
   bool isOwnArray(Value array) const {
     return local.setAdjoint && array.getDefiningOp() &&
            array.getDefiningOp()->getNumRegions() == 0 &&
            hasSingleEffect<MemoryEffects::Allocate>(array.getDefiningOp());
   }
 
-  /// True if all values that loops carry are recorded.
+  /// True if all values that serial loops carry are recorded, also values that
+  /// the reverse of the loop could do without.
   bool recordsAll() const { return !options.skips.has(Skip::UnneededRecords); }
-  /// True if adjoint code is kept whose result reaches no memory.
+  /// True if adjoint code is kept even where its result reaches no memory.
   bool keepsDead() const { return !options.skips.has(Skip::InactiveValues); }
 };
 
-/// The demands of an adjoint on the primal, as found while it was emitted.
+/// The demands of an adjoint on primal values and memory, as found while the
+/// adjoint was emitted.
 struct PrimalDemands {
-  /// The primal reads that the adjoint repeats.
+  /// The reads of primal memory that the adjoint repeats.
   llvm::SetVector<Operation *> reads;
-  /// Random draws that cannot be repeated where the adjoint needs them.
+  /// Random draws of the primal that cannot be repeated where the adjoint needs
+  /// their values.
   llvm::SetVector<Operation *> draws;
-  /// Accesses to fields that the adjoint reads as they were before the launch.
+  /// Accesses to fields that the adjoint must read as they were before the
+  /// launch of the primal.
   llvm::SetVector<Operation *> before;
-  /// Stores whose elements the adjoint loads instead of computing their values.
+  /// Primal stores whose elements the adjoint loads instead of computing the
+  /// stored values.
   llvm::SetVector<Operation *> stored;
-  /// Splitting the kernel into one for each loop would avoid the failure.
+  /// True if the adjoint failed, but would not if the kernel were split into
+  /// one kernel for each loop.
   bool parts = false;
-  /// Values that reversed loops carry, and how many of them are recorded.
+  /// Numbers for the statistics: values that reversed loops carry, and how many
+  /// of them are recorded.
   int64_t carriedValues = 0, recordedValues = 0;
 };
 

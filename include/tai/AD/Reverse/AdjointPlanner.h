@@ -37,21 +37,24 @@ public:
   const AdjointPlan &getPlan() const { return plan; }
   void setLocalMemory(LocalMemory local) { plan.local = std::move(local); }
 
-  /// Chooses the version of each storage that the adjoint reads. Fails after an
-  /// error at a read whose value no version holds. True if the emitted adjoint
-  /// is valid under the plan; false if the plan has grown, and the adjoint must
-  /// be emitted again.
+  /// For each storage that the adjoint reads, chooses its contents after the
+  /// launch, before the launch, or a second execution of the primal. Fails
+  /// after an error at a read whose value cannot be had. True if the emitted
+  /// adjoint is valid under the plan; false if the plan has grown, and the
+  /// adjoint must be emitted again.
   FailureOr<bool> settle(const PrimalDemands &demands);
-  /// True if `settle` failed because different loops need different versions of
-  /// a field.
+  /// True if `settle` failed because different loops of the kernel need
+  /// different versions of a field.
   bool needsParts() const { return wantsParts; }
 
-  /// The fields that the adjoint reads as they were before the launch.
+  /// The fields that the adjoint reads as they were before the launch of the
+  /// primal.
   ArrayRef<Attribute> getFieldsBefore() const { return before; }
-  /// True if the values of these stores are still in memory when the adjoint
-  /// runs.
+  /// True if the values of these primal stores are still in memory when the
+  /// adjoint runs.
   bool findsStored(ArrayRef<Operation *> stores) const;
-  /// Sets the attributes of an adjoint that name the versions it reads.
+  /// Sets on an adjoint the attributes that name the versions of fields that it
+  /// reads.
   void annotate(FunctionOpInterface adjoint) const;
 
 private:
@@ -64,7 +67,8 @@ private:
 
   AdjointPlan plan;
   SmallVector<Attribute> before;
-  /// The plan for the next attempt, and whether it is larger than this one.
+  /// The re-execution planned for the next attempt, and whether it is larger
+  /// than the one of this attempt.
   ReexecutionPlan larger;
   bool hasGrown = false, wantsParts = false;
 };
@@ -73,7 +77,7 @@ private:
 /// derivative, or could not reverse.
 LogicalResult verifyReversible(const AdjointPlan &plan);
 
-/// Updates the skip counters of an adjoint.
+/// Updates the skip counters (work that an optimisation avoided) of an adjoint.
 void countSkips(const AdjointPlan &plan, const PrimalDemands &demands);
 
 } // namespace mlir::tai

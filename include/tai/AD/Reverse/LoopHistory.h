@@ -26,29 +26,33 @@ struct ReversedLoop;
 
 class LoopHistory {
 public:
-  /// `count` is the number of iterations, an index value of the enclosing
-  /// frame.
+  /// Starts the reverse of `loop`. `count` is its number of iterations, an
+  /// index value of the enclosing frame.
   LoopHistory(AdjointBuilder &builder, scf::ForOp loop, Value count);
   /// Counts the iterations of a loop of unknown length, by running it.
   LoopHistory(AdjointBuilder &builder, scf::WhileOp loop);
 
-  /// Creates the loop over the iterations, without a terminator.
+  /// Creates the loop that runs the iterations in reverse, without a
+  /// terminator.
   scf::ForOp createReverse(ValueRange inits);
-  /// Sets the iteration number of the frame of an iteration.
+  /// Computes the iteration number of the primal loop in the frame of one
+  /// reversed iteration.
   void beginIteration(Frame &frame);
   /// Marks the frame of the last evaluation of an `scf.while`'s condition,
   /// which exits the loop.
   void beginLast(Frame &frame);
-  /// Call in the frame of the iteration, after its sweep.
+  /// Completes a reversed iteration. Must be called in the frame of the
+  /// iteration, after its sweep.
   void endIteration();
-  /// Completes the reverse with the adjoints of captured values as additional
-  /// carried values, and adds their sums in the enclosing frame. Returns the
-  /// results for the given initial values.
+  /// Completes the reverse loop. The adjoints of captured values become
+  /// additional carried values, and their sums are added to the adjoints in the
+  /// enclosing frame. Returns the results that belong to the given initial
+  /// values.
   ResultRange close(ArrayRef<Value> yields,
                     const llvm::MapVector<Value, Value> &captured);
 
-  /// The value of carried value number `index` at the start of the iteration of
-  /// `frame`. Null after an error.
+  /// The value that carried value number `index` has at the start of the primal
+  /// iteration of `frame`. Null after an error.
   Value getCarried(Frame &frame, unsigned index);
 
 private:
@@ -68,15 +72,16 @@ private:
   Frame &around;
   CarriedValues carried;
   Value count;
-  /// The copy of an `scf.while` that counts its iterations.
+  /// The copy of an `scf.while` that counts the iterations of that loop.
   scf::WhileOp counted;
   /// The loop that re-runs the iterations forward; created when a recorded
   /// value is first needed.
   scf::ForOp forward;
   LoopTrajectory trajectory;
   ReverseDraft draft;
-  /// The carried values that the reverse carries too: their values at the start
-  /// of the next iteration, and of this one.
+  /// The carried values that the reverse loop carries too, because they have an
+  /// exact inverse: their values at the start of the next primal iteration, and
+  /// of this one.
   llvm::SmallMapVector<unsigned, BlockArgument, 2> nexts;
   SmallVector<Value> nextYields;
   llvm::SmallDenseSet<unsigned> closed, inverted;

@@ -26,12 +26,14 @@
 
 namespace mlir::tai {
 
-/// The loop over iterations from last to first, while its body is built.
+/// The loop over iterations from last to first, while the body of the loop is
+/// built.
 struct ReverseDraft {
   scf::ForOp loop;
   SmallVector<Value> inits;
-  /// In the body: the number of the last iteration in the chunk, and the number
-  /// of this iteration in the chunk and in the loop.
+  /// Values in the body of the reverse loop: the number of the last iteration
+  /// in the chunk, and the number of the current iteration in the chunk and in
+  /// the whole loop.
   Operation *last = nullptr, *local = nullptr, *iteration = nullptr;
 };
 
@@ -40,40 +42,45 @@ public:
   LoopTrajectory(AdjointBuilder &builder, Operation *loop)
       : b(builder), loop(loop), around(builder.getFrame()) {}
 
-  /// Sets the loop that re-runs the iterations, and their number. Call before
-  /// `load`.
+  /// Sets the loop that re-runs the primal iterations, and the number of
+  /// iterations. Must be called before `load`.
   void setForward(scf::ForOp loop, Value trips) {
     forward = loop;
     count = trips;
   }
-  /// Carried value number `index` at the start of the iteration of `frame`.
+  /// Loads the value that carried value number `index` has at the start of the
+  /// primal iteration of `frame`.
   Value load(Frame &frame, unsigned index, const ReverseDraft &draft);
 
-  /// Makes the forward loop write the record of all iterations or of the last
-  /// chunk. Call when the body of the reverse is complete.
+  /// Makes the forward loop store carried values of all iterations, or of the
+  /// last chunk, to the history buffers. Must be called when the body of the
+  /// reverse loop is complete.
   void record();
-  /// The reverse loop, with the body of `draft`, which is left empty.
+  /// Creates the final reverse loop from the body of `draft`, which is left
+  /// empty.
   scf::ForOp createReverse(ReverseDraft &draft, ArrayRef<Value> inits,
                            ArrayRef<Value> yields);
-  /// Frees the buffers, after the reverse loop.
+  /// Frees the history buffers, after the reverse loop.
   void release();
 
-  /// How many values are recorded.
+  /// The number of carried values that are recorded.
   size_t size() const { return histories.size(); }
   bool isRecorded(unsigned index) const { return histories.contains(index); }
   bool isChunked() const { return static_cast<bool>(chunks.size); }
-  /// True if the value is part of the checkpoint of each chunk.
+  /// True if a carried value is part of the checkpoint at the start of each
+  /// chunk.
   bool isKeptByChunks(unsigned index) const { return starts.contains(index); }
   int64_t getBytesPerIteration();
   static int64_t getBytes(Type type);
 
 private:
   struct Chunks {
-    /// Iterations in each chunk but the last; null if there certainly is one
-    /// chunk.
+    /// The number of iterations in each chunk but the last; null if there
+    /// certainly is one chunk.
     Value size;
     Value number;
-    /// Iterations in the longest chunk: the size of the buffers.
+    /// The number of iterations in the longest chunk, which is the size of the
+    /// history buffers.
     Value room;
   };
 
@@ -91,11 +98,13 @@ private:
   Operation *loop;
   Frame &around;
   Value count;
-  /// The loop that runs the iterations forward and records them. If there are
-  /// chunks: the loop over the chunks, and the loop over iterations inside it.
+  /// The loop that runs the primal iterations forward and records them. With
+  /// chunks: the loop over the chunks, and the loop over the iterations inside
+  /// it.
   scf::ForOp forward, inner;
   Chunks chunks;
-  /// Buffers by carried value: of the record, and of the checkpoints.
+  /// Buffers by the number of the carried value: the history of its values, and
+  /// its checkpoints at the starts of chunks.
   llvm::SmallMapVector<unsigned, memref::AllocOp, 4> histories;
   llvm::SmallMapVector<unsigned, memref::AllocOp, 4> starts;
 };

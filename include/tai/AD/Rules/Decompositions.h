@@ -17,7 +17,7 @@
 
 namespace mlir::tai {
 
-/// A scalar in a formula.
+/// A scalar in a formula, with operators that emit ops.
 struct S {
   DerivativeBuilder *b;
   Value v;
@@ -63,7 +63,7 @@ inline S divideAbove(S a, S c, S floor) { return keepAbove(c, floor, a / c); }
 /// Returns `a`, or 0 where |a| <= `floor`.
 inline S dropBelow(S a, S floor) { return keepAbove(a, floor, a); }
 
-/// A small matrix with access to its entries.
+/// A small matrix in a formula, with access to its entries.
 struct M {
   DerivativeBuilder *b;
   Value v;

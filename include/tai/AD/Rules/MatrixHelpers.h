@@ -54,8 +54,8 @@ inline Value createScaled(DerivativeBuilder &b, Value vector, Value scalar) {
   return arith::MulFOp::create(b, vector, factor);
 }
 
-/// `value`, or zero where the whole of `adjoint` is zero: each component of
-/// `value` can depend on all components of `adjoint`.
+/// Emits `value`, or zero where the whole of `adjoint` is zero: each component
+/// of `value` can depend on all components of `adjoint`.
 inline Value createMatrixGuard(DerivativeBuilder &b, Value adjoint,
                                Value value) {
   Value any = adjoint;
@@ -74,17 +74,17 @@ inline Value guardFor(DerivativeBuilder &b, Value factor, Value adjoint,
              : value;
 }
 
-/// The component-wise sum of two terms of a tangent; null is zero.
+/// Emits the component-wise sum of two terms of a tangent; a null term is zero.
 inline Value addTerms(DerivativeBuilder &b, Value lhs, Value rhs) {
   if (!lhs || !rhs)
     return lhs ? lhs : rhs;
   return arith::AddFOp::create(b, lhs, rhs);
 }
 
-/// The tangent of a bilinear op: lhs' * rhs + lhs * rhs'. `multiply` builds the
-/// op. Where a tangent may be infinite or NaN, its product with a zero of the
-/// other operand must be zero; the op is then built by `expand`, component by
-/// component from products of scalars.
+/// Emits the tangent of a bilinear op: lhs' * rhs + lhs * rhs'. `multiply`
+/// builds the op. Where a tangent may be infinite or NaN, its product with a
+/// zero of the other operand must be zero; the op is then built by `expand`,
+/// component by component from products of scalars.
 Value createBilinearTangent(
     TangentBuilder &b, Value lhs, Value rhs,
     llvm::function_ref<Value(Value lhs, Value rhs)> multiply,

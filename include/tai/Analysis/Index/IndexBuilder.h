@@ -25,7 +25,7 @@ public:
   /// decomposed: each becomes a term of the expressions.
   explicit IndexBuilder(Operation *scope = nullptr) : scope(scope) {}
 
-  /// The expression of an integer or index value.
+  /// Returns the index expression of an integer or index value.
   IndexExpr get(Value value);
   SmallVector<IndexExpr> get(ValueRange values);
 
@@ -37,7 +37,8 @@ public:
   /// The quotient ⌊lhs / rhs⌋ and the remainder of two exact expressions.
   IndexExpr getQuotient(const IndexExpr &lhs, const IndexExpr &rhs);
   IndexExpr getRemainder(const IndexExpr &lhs, const IndexExpr &rhs);
-  /// Splits `expr` into `divisor` times a sum and a rest from 0 to divisor - 1.
+  /// Splits `expr` into a multiple of `divisor` and a remainder from 0 to
+  /// divisor - 1; returns the factor and the remainder.
   std::optional<std::pair<IndexExpr, IndexExpr>> split(const IndexExpr &expr,
                                                        int64_t divisor);
   /// Given a remainder node, builds the quotient of the same dividend and
@@ -45,8 +46,8 @@ public:
   IndexExpr getQuotientOf(const IndexNode &rest);
 
 private:
-  /// A sum as a multiple of a divisor and a rest; `isDigit` if the rest is from
-  /// 0 to the divisor - 1.
+  /// A sum as a multiple of a divisor and a remainder; `isDigit` if the
+  /// remainder is from 0 to the divisor - 1.
   struct Parts {
     IndexExpr multiple, rest;
     bool isDigit = false;
@@ -64,26 +65,27 @@ private:
   std::optional<IndexExpr> buildBits(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildSelect(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildExtreme(Operation *op, unsigned depth);
-  /// Limits `expr` to the width of `type`, the type of the op that computes it,
-  /// unless `fits` says that the op never wraps.
+  /// Limits the width of `expr` to the width of `type`, the type of the op that
+  /// computes the value, unless `fits` says that the op never wraps.
   IndexExpr limit(IndexExpr expr, Type type, llvm::function_ref<bool()> fits);
   IndexRange getSignedRange(Value value);
 
-  /// Replaces q d + r, of the quotient and the remainder of one division, by
-  /// the dividend.
+  /// Replaces q * d + r by the dividend, where q and r are the quotient and the
+  /// remainder of one division by d.
   IndexExpr joinDigits(IndexExpr expr);
 
   Operation *scope;
   IntegerRanges ranges;
   llvm::DenseMap<Value, IndexExpr> known;
-  /// Caches values whose expression the depth limit cut short; kept for one
-  /// call of IndexBuilder::get, because less deep calls give better
-  /// expressions.
+  /// Caches values whose expression the depth limit cut short. The cache is
+  /// kept for one call of IndexBuilder::get only, because less deep calls give
+  /// better expressions.
   llvm::DenseMap<Value, IndexExpr> cut;
   bool isCut = false;
 };
 
-/// The expression of an integer or index value, from a temporary IndexBuilder.
+/// Returns the index expression of an integer or index value, from a temporary
+/// IndexBuilder.
 IndexExpr getIndexExpr(Value value);
 SmallVector<IndexExpr> getIndexExprs(ValueRange values);
 

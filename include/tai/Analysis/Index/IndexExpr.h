@@ -33,12 +33,13 @@ public:
   IndexAtom(Value value) : value(value) {}
   IndexAtom(IndexNode node);
 
-  /// The value that the atom is; null if the atom is an operation on sums.
+  /// The program value that this atom is; null if the atom is an operation on
+  /// sums.
   Value getValue() const { return value; }
-  /// The operation that the atom is; null if the atom is a value.
+  /// The operation that this atom is; null if the atom is a program value.
   const IndexNode *getNode() const { return node.get(); }
 
-  /// True if the predicate holds for all values that occur in the atom.
+  /// True if `predicate` holds for all program values that occur in the atom.
   bool allOf(llvm::function_ref<bool(Value)> predicate) const;
   bool mentions(Value wanted) const;
 
@@ -67,7 +68,8 @@ struct IndexExpr {
   explicit IndexExpr(Value value) : IndexExpr(IndexAtom(value)) {}
   explicit IndexExpr(IndexNode node);
 
-  /// True if the sum equals the value: no arithmetic on the way to it wrapped.
+  /// True if the sum equals the value exactly: no arithmetic that computes the
+  /// value wrapped.
   bool isExact() const { return width == 64; }
   bool isConstant() const { return terms.empty(); }
 

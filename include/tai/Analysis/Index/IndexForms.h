@@ -54,7 +54,7 @@ struct LinearForm {
   /// hold; if false, they are assumptions.
   bool isComplete = true;
 
-  /// The linear form of this value plus `scale` times `other`.
+  /// Returns the linear form of this value plus `scale` times `other`.
   LinearForm plus(const LinearForm &other, int64_t scale) const;
 };
 

@@ -13,7 +13,7 @@
 namespace mlir::tai {
 
 /// The most iterations that a loop has along a dimension: with more, an index
-/// of 32 bits would take all values, and leave every field.
+/// of 32 bits would take all values, and no field has so many elements.
 constexpr int64_t kMostIterations = (int64_t(1) << 32) - 1;
 
 /// A constant plus unknowns times factors; canBeZero asks whether the low bits

@@ -68,8 +68,8 @@ std::optional<ConstantStretch> getConstantStretch(Value condition,
                                                   Value variable, int64_t lower,
                                                   int64_t upper);
 
-/// How `index` shifts `variable` over [lower, upper); none if it is not a
-/// shift, or if the range is empty.
+/// Describes how `index` shifts the loop index `variable` over [lower, upper);
+/// none if it is not a shift, or if the range is empty.
 std::optional<IndexShift> getIndexShift(Value index, Value variable,
                                         int64_t lower, int64_t upper);
 

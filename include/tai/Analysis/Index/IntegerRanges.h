@@ -24,8 +24,8 @@ namespace mlir::tai {
 
 class IntegerRanges {
 public:
-  /// A callback that gives the range of a value if the caller knows it from
-  /// elsewhere.
+  /// A callback that gives the range of a value if the caller has further
+  /// knowledge about it.
   using Oracle = std::function<std::optional<ConstantIntRanges>(Value)>;
   explicit IntegerRanges(Oracle oracle = nullptr) : oracle(std::move(oracle)) {}
 

@@ -35,7 +35,7 @@ struct LinearSum {
   static LinearSum variable(unsigned number) { return {{{number, 1}}, 0}; }
 
   int64_t getFactor(unsigned variable) const;
-  /// Adds `scale` times `other`.
+  /// Adds `scale` times the sum `other`.
   void add(const LinearSum &other, int64_t scale = 1);
   LinearSum plus(const LinearSum &other, int64_t scale = 1) const;
   LinearSum plus(int64_t number) const { return plus(of(number)); }
@@ -49,10 +49,12 @@ struct LinearSum {
 class LinearSystem {
 public:
   ArrayRef<LinearSum> getRows() const { return rows; }
-  /// Some inequality can never hold, so that the system has no solution. A
-  /// system without a solution is not always contradictory in this sense.
+  /// True if some inequality of the system can never hold, so that the system
+  /// has no solution. A system without a solution is not always contradictory
+  /// in this sense.
   bool isContradictory() const { return contradictory; }
-  /// The system is invalid because it, or a coefficient, became too large.
+  /// True if the system is invalid because it, or a coefficient, became too
+  /// large.
   bool isUnknown() const { return unknown; }
 
   /// Adds the inequality `sum >= 0` to the system, divided by the greatest

@@ -26,8 +26,9 @@ constexpr llvm::StringLiteral kIndependentAttrName = "tai.independent";
 /// inherent attribute for it. An update without the attribute is atomic.
 constexpr llvm::StringLiteral kAccumulateAttrName = "tai.accumulate";
 
-/// How the loop does an update. Null for an update that the lowering of memory
-/// accesses does, as an atomic or a plain access.
+/// Returns how the parallel loop performs an update of memory. Null for an
+/// update that the lowering of memory accesses does, as an atomic or a plain
+/// access.
 ReductionAttr getReduction(Operation *update);
 inline bool isDoneByLoop(Operation *update) {
   return getReduction(update) != nullptr;
@@ -39,8 +40,8 @@ bool isKeptInRegister(Operation *update);
 /// sum in one register.
 using Total = SmallVector<Operation *>;
 SmallVector<Total> groupTotals(ArrayRef<Operation *> updates);
-/// The operation that combines partial results of an update, and the type of
-/// the terms that it adds.
+/// The operation that combines partial results of an update, which is an
+/// addition for a subtraction, and the type of the combined terms.
 AtomicKind getCombiningKind(Operation *update);
 Type getTermType(Operation *update);
 
@@ -48,7 +49,7 @@ Type getTermType(Operation *update);
 /// on all targets (CPU, GPU and their numbers of threads).
 bool hasCommonTotals(ParallelForOp loop);
 
-/// Updates of a loop that go to the same part of the same field.
+/// Updates in a loop that all accumulate to the same part of the same field.
 struct AccumulationGroup {
   const FieldInfo *field;
   /// For each dimension, the index that is the same for all updates of the
@@ -81,7 +82,8 @@ int64_t getAccumulatorBytes(Type scalar);
 /// whenever their indices of the element are equal.
 bool updatesSameComponent(AtomicOp a, AtomicOp b);
 
-/// True if distinct iterations of `loop` reach distinct elements at `indices`.
+/// True if distinct iterations of `loop` reach distinct elements by the indices
+/// `indices`.
 bool isInjective(ParallelForOp loop, ValueRange indices);
 
 /// An estimate of how often `op` runs in one iteration of `loop`.
@@ -91,7 +93,7 @@ double estimateRuns(Operation *op, ParallelForOp loop);
 /// that LLVM vectorises an innermost loop with independent iterations.
 double estimateIteration(ParallelForOp loop, bool isIndependent);
 
-/// The number of iterations of `loop` if it is constant.
+/// The number of iterations of `loop` if it is constant; no value otherwise.
 std::optional<int64_t> getNumIterations(ParallelForOp loop);
 
 /// The cost of an atomic update relative to zeroing and adding one element of a
@@ -103,7 +105,7 @@ constexpr double kElementsPerUpdate = 10;
 /// more terms are in f64.
 constexpr int64_t kFewTerms = 1 << 15;
 
-/// The neutral element of `kind`.
+/// The neutral element of updates of `kind`, such as 0 for additions.
 TypedAttr getIdentity(AtomicKind kind, Type type);
 
 /// The operation that combines partial results of updates of `kind`: `kind`

@@ -33,16 +33,16 @@ Operation *findDivergence(ParallelForOp loop, OpPredicate isAddition);
 bool canOrderAdditions(ParallelForOp loop, FieldTable &fields,
                        const ReductionPlan &plan);
 
-/// True if canOrderAdditions holds, and no element receives more than one
-/// addition of an iteration. The order of iterations is then kept when the
-/// threads of a warp execute one addition for 32 iterations before the next
-/// addition.
+/// True if the additions of `loop` can be executed in the order of iteration
+/// numbers (canOrderAdditions), and no element receives more than one addition
+/// of an iteration. The order of iterations is then kept when the threads of a
+/// warp execute one addition for 32 iterations before the next addition.
 bool canQueueAdditions(ParallelForOp loop, FieldTable &fields,
                        const ReductionPlan &plan);
 
 /// True if the values that the loop adds can be computed several times with the
 /// same results, without other effects of the loop. `additions` receives the
-/// additions, all of them to fields whose old value nobody uses.
+/// additions, all of them to fields, whose old values are not used.
 bool canAddInAnyOrder(ParallelForOp loop, FieldTable &fields,
                       const ReductionPlan &plan,
                       SmallVectorImpl<AtomicOp> &additions);

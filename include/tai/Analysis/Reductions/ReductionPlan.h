@@ -24,11 +24,11 @@ class FieldTable;
 
 struct ReductionPlan {
   struct Update {
-    /// True if no other iteration of the loop reaches the element that is
-    /// updated.
+    /// True if no other iteration of the loop reaches the element of this
+    /// update.
     bool isExclusive = false;
-    /// How the partial results are combined; null for an update that is
-    /// exclusive or atomic.
+    /// How the partial results of this update are combined; null for an update
+    /// that is exclusive or atomic.
     ReductionAttr reduction;
     /// For an atomic update: why the loop cannot reduce it. Otherwise empty.
     StringRef reason;
@@ -39,7 +39,7 @@ struct ReductionPlan {
   /// The order in which the loop adds terms, if its results must not depend on
   /// the number of threads.
   std::optional<LoopOrder> order;
-  /// Whether a single thread runs the loop; whether a single warp of a GPU runs
+  /// True if a single thread runs the loop; true if a single warp of a GPU runs
   /// it.
   bool isSerial = false, inWarp = false;
   /// True if no iteration of the loop accesses memory that another iteration
@@ -52,7 +52,7 @@ struct ReductionPlan {
   bool isDoneByLoop(Operation *op) const {
     return updates.lookup(op).reduction != nullptr;
   }
-  /// Writes the plan to the loop and its updates.
+  /// Writes the plan to attributes of the loop and its updates.
   void apply(ParallelForOp loop) const;
 };
 
@@ -60,7 +60,8 @@ struct ReductionPlan {
 /// which its results depend neither on the number of threads nor on timing.
 bool hasFixedBits(Operation *op);
 
-/// Whether its sums have, besides, the order that all targets share.
+/// True if `op` is in a kernel or function whose sums, besides, have the order
+/// that all targets share.
 bool hasCommonOrder(Operation *op);
 
 /// How a kernel adds up several terms of one iteration.

@@ -41,10 +41,10 @@ class ModuleOp;
 
 namespace mlir::tai {
 
-/// The device that code is compiled for, in terms of runtime::Device.
+/// The device that code is compiled for, in the terms of runtime::Device.
 struct DeviceTarget {
   runtime::DeviceKind kind = runtime::DeviceKind::Cuda;
-  /// Such as "sm_90"; ignored for the emulated device.
+  /// The architecture, such as "sm_90"; ignored for the emulated device.
   std::string name;
 
   bool operator==(const DeviceTarget &other) const {
@@ -53,52 +53,56 @@ struct DeviceTarget {
   std::string str() const;
 };
 
-/// The suffix of the functions that the emulated device calls.
+/// The suffix of the names of the functions by which the emulated device calls
+/// kernels.
 constexpr llvm::StringLiteral kSlotsSuffix = ".slots";
 
-/// Device code between translation and emission.
+/// The code of a device module between its translation to LLVM IR and the
+/// emission of an image.
 struct DeviceCode {
   std::unique_ptr<llvm::LLVMContext> context;
   std::unique_ptr<llvm::Module> module;
-  /// Names of the kernels, in the order of their numbers, and their source
-  /// locations.
+  /// The names of the device kernels, in the order of their numbers, and their
+  /// source locations.
   std::vector<std::string> functions, places;
   /// See DeviceImage::accesses.
   std::vector<std::vector<int64_t>> accesses;
   /// See DeviceImage::blockSizes.
   std::vector<int64_t> blockSizes;
-  /// For each function, its maximum of threads in a block, as text.
+  /// For each device kernel, the most threads that one block may have, as text.
   std::vector<std::string> mostThreads;
 };
 
-/// The `gpu.module` of a lowered module. Null where there is none; an error
-/// where there are several.
+/// Finds the `gpu.module` of a lowered module. Null if there is none; an error
+/// if there are several.
 llvm::Expected<Operation *> findDeviceModule(ModuleOp module);
 
-/// Registers the translations to LLVM IR that device code needs.
+/// Registers the translations to LLVM IR that the dialects of device code need.
 void registerDeviceTranslations(DialectRegistry &registry);
 
 /// Adds the function by which the emulated device calls a kernel.
 llvm::Function *addSlotsFunction(llvm::Function &kernel);
 
-/// The bitcode of the device library.
+/// The bitcode of the project's device library for a kind of device.
 llvm::ArrayRef<char> getDeviceLibrary(runtime::DeviceKind kind);
 
-/// Used by one thread at a time. Float semantics follow the options: with
-/// fastMath, division and square root are approximate; with contract, a product
-/// and a sum may be rounded once; without both, every operation is rounded as
-/// IEEE 754 says.
+/// Compiles device code; used by one thread at a time. Float semantics follow
+/// the options: with fastMath, division and square root are approximate; with
+/// contract, a product and a sum may be rounded once; without both, every
+/// operation is rounded as IEEE 754 says.
 class DeviceCompiler {
 public:
   static llvm::Expected<std::unique_ptr<DeviceCompiler>>
   create(const DeviceTarget &target, const CodegenOptions &options);
   ~DeviceCompiler();
 
-  /// Translates, links the libraries, and hides all but the kernels. Failures
-  /// of the translation itself are reported as diagnostics and have no text.
+  /// Translates a device module to LLVM IR, links the device libraries, and
+  /// makes all functions but the kernels internal. Failures of the translation
+  /// itself are reported as diagnostics and have no text.
   llvm::Expected<DeviceCode> translate(Operation *deviceModule);
   llvm::Error optimize(DeviceCode &code);
-  /// PTX text, or object code of the host.
+  /// Emits the image of translated device code: PTX text for CUDA, or object
+  /// code of the host for the emulated device.
   llvm::Expected<runtime::DeviceImage> emit(DeviceCode &code);
 
   /// For code that is assembled as LLVM IR instead of translated: an empty
@@ -110,12 +114,12 @@ public:
   finish(DeviceCode &code,
          llvm::function_ref<bool(const llvm::GlobalValue &)> isVisible,
          llvm::function_ref<void()> prepare = {});
-  /// A hook that sees the module before LLVM's passes. It may fail, or return
-  /// the image that the passes would lead to.
+  /// A hook that sees the linked LLVM module before LLVM's passes run on it. It
+  /// may fail, or return the image that the passes would lead to.
   using LinkedHook =
       std::function<llvm::Expected<std::optional<runtime::DeviceImage>>(
           const llvm::Module &)>;
-  /// Makes `finish` call the hook; null for none.
+  /// Makes `finish` call the hook before LLVM's passes; null removes the hook.
   void setLinkedHook(LinkedHook hook) { linkedHook = std::move(hook); }
 
   bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
@@ -137,16 +141,16 @@ private:
   /// For CUDA.
   std::unique_ptr<llvm::TargetMachine> machine;
   bool hasVectorAtomics = false;
-  /// For the emulated device.
+  /// Emits object code of the host, for the emulated device.
   std::unique_ptr<ObjectCompiler> objects;
   bool broken = false;
   LinkedHook linkedHook;
 };
 
-/// Fuses the bodies of kernels, given by the bitcode of their images and by
-/// their names, into one kernel, `tai_program`; see tai/ABI/DeviceAbi.h. For
-/// TAI_SCOPE_NONE, makes a kernel `f_kernel` of each of the given functions `f`
-/// of the device library.
+/// Fuses the bodies of several device kernels, given by the bitcode of their
+/// images and by their names, into one kernel, `tai_program`; see
+/// tai/ABI/DeviceAbi.h. For TAI_SCOPE_NONE, makes a separate kernel `f_kernel`
+/// of each of the given functions `f` of the device library.
 llvm::Expected<runtime::DeviceImage>
 makeProgram(DeviceCompiler &compiler, const runtime::ProgramPlan &plan);
 

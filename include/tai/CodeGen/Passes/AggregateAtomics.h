@@ -12,10 +12,10 @@
 
 namespace mlir::tai {
 
-/// Where all threads of a warp add to the same f32 elements, reduces their
-/// values first, so that one thread adds to each element. For NVPTX. With
-/// `combinesScatters`, also handles data-dependent elements, after a comparison
-/// at run time.
+/// A pass that reduces the values of a warp first where all its threads add to
+/// the same f32 elements, so that one thread adds to each element. For NVPTX.
+/// With `combinesScatters`, it also handles data-dependent elements, after a
+/// comparison at run time.
 struct AggregateAtomics : llvm::PassInfoMixin<AggregateAtomics> {
   explicit AggregateAtomics(bool combinesScatters = true)
       : combinesScatters(combinesScatters) {}

@@ -19,36 +19,35 @@ class TargetMachine;
 
 namespace mlir::tai {
 
-/// Thresholds above which passes of more than linear time are avoided: several
-/// times the sizes of the largest kernels of the scenes.
+/// Thresholds of code size above which passes of more than linear time are
+/// avoided: several times the sizes of the largest kernels of the scenes.
 struct HugeBodyLimits {
-  /// Limit of the instructions of a loop after vectorisation: larger loops are
-  /// not vectorised.
+  /// The most instructions of a loop after vectorisation: larger loops are not
+  /// vectorised.
   unsigned vectorized = 5000;
-  /// Writes of a loop times its accesses, which is the number of pairs that the
-  /// vectoriser compares: loops with more pairs are not vectorised.
+  /// The most pairs of accesses in a loop that is vectorised: the vectoriser
+  /// compares each write with each access of the loop.
   uint64_t loopPairs = 200000;
-  /// Limit of the loops of a function: if there are more, loops are not
-  /// unrolled.
+  /// The most loops in a function whose loops are unrolled.
   unsigned loops = 200;
-  /// Limit of the instructions of a basic block before code generation: longer
+  /// The most instructions of a basic block before code generation: longer
   /// blocks are divided, and not SLP-vectorised.
   unsigned block = 8000;
-  /// Writes of a block times its accesses, which is the number of pairs that
-  /// the scheduler compares: blocks with more pairs are divided.
+  /// The most pairs of accesses in a block: the scheduler compares each write
+  /// with each access, and blocks with more pairs are divided.
   uint64_t pairs = 1500000;
-  /// Limit of the instructions that are inlined into a function from a library:
-  /// above it, the library functions are called instead.
+  /// The most instructions that are inlined into a function from a library;
+  /// above this number, the library functions are called instead.
   uint64_t inlined = 30000;
-  /// Number of instructions in each part of a divided block.
+  /// The number of instructions in each part of a divided block.
   unsigned part = 1000;
-  /// Limit of the instructions of a basic block in functions that call library
+  /// The most instructions of a basic block in functions that call library
   /// functions because `inlined` was exceeded: longer blocks are divided.
   unsigned blockOfCalls = 8000;
 
-  /// The limits for a GPU. ptxas takes more than quadratic time for the calls
-  /// in a block: 114 s for 800 and 1200 calls of f64 functions, and 9 s with
-  /// blocks divided into parts of this size.
+  /// The limits of code size for a GPU. ptxas takes more than quadratic time
+  /// for the calls in a block: 114 s for 800 and 1200 calls of f64 functions,
+  /// and 9 s with blocks divided into parts of this size.
   static HugeBodyLimits ofDevice() {
     HugeBodyLimits limits;
     limits.block = ~0u;
@@ -67,8 +66,8 @@ struct KeepHugeLoopsScalar : llvm::PassInfoMixin<KeepHugeLoopsScalar> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);
 
-  /// Whether the LLVM pass with the name `pass` takes acceptable time on the
-  /// function or loop `ir`.
+  /// True if the LLVM pass called `pass` takes acceptable time on the function
+  /// or loop `ir`.
   static bool canRun(llvm::StringRef pass, const llvm::Any &ir);
 
 private:
@@ -77,7 +76,7 @@ private:
 
 /// Outlines parts of huge blocks into functions; runs after all optimisations.
 /// Values used across parts go through shared memory on the stack. Without a
-/// target, all instructions count as one.
+/// target, all instructions count as one machine instruction.
 void divideHugeBlocks(llvm::Module &module,
                       const llvm::TargetMachine *machine = nullptr,
                       HugeBodyLimits limits = {});

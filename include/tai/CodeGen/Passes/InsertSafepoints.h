@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// Whether a function may return early: a kernel, the body of a parallel loop
-/// (see Abi.h), or an outlined part of one.
+/// True if a function may return early at a safepoint: a kernel, the body of a
+/// parallel loop (see Abi.h), or an outlined part of such a body.
 bool mayReturnEarly(const llvm::Function &function);
 
 /// Inserts safepoint polls into kernels and bodies of parallel loops, at the

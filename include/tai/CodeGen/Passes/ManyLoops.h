@@ -22,7 +22,7 @@ namespace mlir::tai {
 constexpr llvm::StringLiteral kLoopPart = "tai-loop-part";
 
 struct ManyLoopsLimits {
-  /// Limit of the loops of a function: functions with more loops are divided.
+  /// The most loops of a function: functions with more loops are divided.
   unsigned loops = 200;
   /// Loops of a part.
   unsigned part = 16;
@@ -35,8 +35,8 @@ struct ManyLoopsLimits {
 /// early.
 bool divideManyLoops(llvm::Module &module, ManyLoopsLimits limits = {});
 
-/// Whether the LLVM pass with the name `pass` is interprocedural. Such a pass
-/// may change the arguments or the result of an outlined part.
+/// True if the LLVM pass called `pass` is interprocedural. Such a pass may
+/// change the arguments or the result of an outlined part.
 bool looksThroughCalls(llvm::StringRef pass);
 
 } // namespace mlir::tai

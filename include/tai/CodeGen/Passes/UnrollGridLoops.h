@@ -12,9 +12,9 @@
 
 namespace mlir::tai {
 
-/// Unrolls grid-stride loops, all loads of the unrolled iterations before all
-/// stores, so that more loads are in flight. For kernels of parallel loops with
-/// independent, short iterations without branches. Runs after loop
+/// A pass that unrolls grid-stride loops, all loads of the unrolled iterations
+/// before all stores, so that more loads are in flight. For kernels of parallel
+/// loops with independent, short iterations without branches. Runs after loop
 /// simplification.
 struct UnrollGridLoops : llvm::PassInfoMixin<UnrollGridLoops> {
   llvm::PreservedAnalyses run(llvm::Function &function,

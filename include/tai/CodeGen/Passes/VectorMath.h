@@ -46,12 +46,12 @@ public:
 
   VectorMath(const llvm::TargetMachine &machine, bool hasSleef);
 
-  /// The forms of the function that `call` calls; null if the call must stay as
-  /// it is.
+  /// Finds the forms of the function that `call` calls; null if the call must
+  /// stay as it is.
   const Forms *find(const llvm::CallInst &call) const;
 
 private:
-  /// Forms of functions, by the name of LLVM's intrinsic and by the name of
+  /// The forms of functions, by the name of LLVM's intrinsic and by the name of
   /// libm's function.
   llvm::StringMap<Forms> forms;
 };

@@ -19,8 +19,8 @@ namespace mlir::tai {
 
 class RuntimeCalls;
 
-/// Attribute of a device function: its accesses to memory, as FunctionAccesses
-/// encodes them.
+/// The attribute of a device function that holds its accesses to memory, as
+/// FunctionAccesses encodes them.
 constexpr llvm::StringLiteral kAccessesAttrName = "tai.accesses";
 
 /// Attribute of a device function that can run in tiles: the lower bounds of
@@ -39,8 +39,8 @@ class LoopAccesses {
 public:
   explicit LoopAccesses(ParallelForOp loop);
 
-  /// Adds a sum over all iterations that goes to the address `target`, or whose
-  /// `threads` partial sums are stored from `target` on.
+  /// Adds the memory of a sum over all iterations: the sum is stored at the
+  /// address `target`, or its `threads` partial sums from `target` on.
   void addSum(Value target, Type type, bool isAddition, int64_t threads);
 
   /// Maps a captured value to the number of the parameter that holds it, and an
@@ -48,18 +48,19 @@ public:
   using ParameterFinder =
       llvm::function_ref<std::optional<std::pair<int64_t, int64_t>>(Value)>;
 
-  /// Encodes the accesses, with captured values by the numbers of their
-  /// parameters; null if not all accesses are known.
+  /// Encodes the memory accesses of the loop, with captured values as the
+  /// numbers of their parameters; null if not all accesses are known.
   DenseI64ArrayAttr encode(ParameterFinder getParameter);
 
-  /// Whether iterations access memory by loads and stores alone, so that they
+  /// True if iterations access memory by loads and stores alone, so that they
   /// can be repeated in overlapping tiles. If so, numbers these loads and
   /// stores.
   bool canRunInTiles();
   DenseI64ArrayAttr encodeSites(ParameterFinder getParameter);
 
 private:
-  /// An address in terms of captured values, which are not yet parameters.
+  /// The address of an access in terms of captured values, which are not yet
+  /// parameters.
   struct Address {
     runtime::DeviceAccess access;
     Value base;

@@ -18,7 +18,7 @@
 
 namespace mlir::tai {
 
-/// Shared state while one module is lowered.
+/// State shared by the lowerings of one module for a device.
 struct DeviceLowering {
   DeviceLowering(ModuleLowering &host, ModuleLowering &device,
                  gpu::GPUModuleOp kernels)
@@ -53,7 +53,7 @@ constexpr int64_t kTreeAlignment = 16;
 /// gpu.module gets later: the width of an index in bits; 64 if absent.
 constexpr llvm::StringLiteral kIndexBitsAttrName = "tai.index_bits";
 
-/// True for a loop that becomes a device function.
+/// True for a parallel loop that becomes a device function.
 bool isDeviceLoop(Operation *op);
 
 /// Wraps code after `start` that must run on the device and is not in a
@@ -100,7 +100,8 @@ void noteSizes(ParallelForOp loop, LLVM::LLVMFuncOp function);
 /// Limits registers so that a block of the function's size fits, if it has one.
 void limitRegisters(LLVM::LLVMFuncOp function);
 
-/// Whether the iterations may be too many for a device to run within hours.
+/// True if the loop may have so many iterations that a device would run them
+/// for hours.
 bool mayBeCountless(ParallelForOp loop);
 
 /// Inserts safepoints into loops that may run long inside the iterations of a

@@ -17,7 +17,7 @@
 
 namespace mlir::tai {
 
-/// Shared state while one module is lowered.
+/// State shared by the lowerings of one module for the host.
 struct ModuleLowering {
   /// `table`: the symbol table for declarations of runtime functions, by
   /// default the module itself.
@@ -27,7 +27,8 @@ struct ModuleLowering {
   RuntimeCalls runtime;
   FieldTable fields;
   bool debug;
-  /// Position of each tree in TaiFrame::trees.
+  /// The position of each tree in the list of trees of the frame,
+  /// TaiFrame::trees.
   llvm::DenseMap<StringAttr, int64_t> treeIndex;
   /// The functions that are lowered, including helpers that could not be
   /// inlined, which are rejected. Other functions of the module are not
@@ -44,14 +45,15 @@ public:
   /// first two arguments are the frame and the closure.
   Closure(LLVM::LLVMFuncOp inner, Value frame, Operation *call);
 
-  /// The value in the inner function for a value in the outer function.
+  /// Returns the value in the inner function for a value in the outer function.
   FailureOr<Value> get(Value outer);
 
   /// Replaces the values that `region`, which was moved into the inner
   /// function, captures.
   LogicalResult capture(Region &region);
 
-  /// Stores the captured values and returns the address of the closure.
+  /// Emits stores of the captured values to the closure, and returns the
+  /// address of the closure.
   Value emit(RuntimeCalls &runtime);
 
 private:
@@ -62,7 +64,8 @@ private:
   llvm::DenseMap<Value, Value> known;
 };
 
-/// A function of the module with an entry block; `frame` is its first argument.
+/// Creates a function of the module with an entry block; `frame` is the first
+/// argument.
 LLVM::LLVMFuncOp createFunction(ModuleOp module, Location loc, StringRef name,
                                 Type result, ArrayRef<Type> arguments,
                                 bool isInternal);
@@ -86,11 +89,11 @@ LogicalResult replaceArguments(FunctionOpInterface function, Value frame,
                                ArrayAddress arrayAddress = nullptr);
 
 /// Replaces the terminator `ret` by stores of its operands to the slots of the
-/// frame; `builder` is left at that point.
+/// frame; `builder` is left at the point behind the stores.
 void replaceReturn(Operation *ret, Location loc, Value frame,
                    OpBuilder &builder, RuntimeCalls &runtime);
 
-/// Each function lowers one op, or all ops of a kind in a function.
+/// Each of these functions lowers one op, or all ops of a kind in a function.
 LogicalResult lowerKernel(KernelOp kernel, ModuleLowering &lowering);
 LogicalResult lowerHostFunction(func::FuncOp function,
                                 ModuleLowering &lowering);
@@ -101,7 +104,7 @@ LogicalResult lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
                                ModuleLowering &lowering,
                                SmallVectorImpl<LLVM::LLVMFuncOp> &functions);
 LogicalResult lowerLeafOps(LLVM::LLVMFuncOp function, ModuleLowering &lowering);
-/// Replaces a parallel loop by serial ones in place; its updates become
+/// Replaces a parallel loop by nested serial loops in place; its updates become
 /// non-atomic.
 LogicalResult lowerSerially(ParallelForOp loop, FieldTable &fields);
 /// Lowers the preconditions of a kernel that has been lowered: it returns
@@ -113,7 +116,8 @@ LogicalResult lowerStack(StackCreateOp op, Value frame, RuntimeCalls &runtime);
 /// (null for the serial code of a kernel), and a counter if it may draw more
 /// than once in an iteration.
 void numberDraws(Operation *root, ParallelForOp loop);
-/// Whether the cast is the placeholder of a random number that is numbered.
+/// True if the cast is the placeholder of a random draw that has got its
+/// number.
 bool isDraw(UnrealizedConversionCastOp op);
 /// Emits the random number of a draw: an integer of random bits, or a float in
 /// [0, 1).

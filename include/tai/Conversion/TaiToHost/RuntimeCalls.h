@@ -21,7 +21,7 @@
 
 namespace mlir::tai {
 
-/// The MLIR types of a C function of Abi.def.
+/// Gives the MLIR types of a C function in Abi.def.
 template <typename Function> struct EntryTypes;
 template <typename Result, typename... Parameters>
 struct EntryTypes<Result(Parameters...)> {
@@ -47,13 +47,13 @@ private:
 
 class RuntimeCalls {
 public:
-  /// `table` is the module, or the gpu.module in it: called functions are
-  /// declared there.
+  /// `table` is the module, or the gpu.module in it, in which called functions
+  /// are declared.
   explicit RuntimeCalls(Operation *table);
 
-  /// A method for each row of Abi.def: emits a call of the function of the same
-  /// name, with a value for each parameter. Returns null if the function
-  /// returns void.
+  /// A method for each row of Abi.def, which emits a call of the function of
+  /// the same name, with a value for each parameter. Returns null if the
+  /// function returns void.
 #define TAI_ENTRY(result, name, parameters)                                    \
   template <typename... Arguments>                                             \
   Value tai_rt_##name(OpBuilder &builder, Location loc,                        \
@@ -69,11 +69,12 @@ public:
   Value call(OpBuilder &builder, Location loc, StringRef name, Type result,
              ValueRange arguments, bool pure = false);
 
-  /// The address of a constant: a zero-terminated string, or an array.
+  /// Emits the address of a constant: a zero-terminated string, or an array.
   Value string(OpBuilder &builder, Location loc, StringRef text);
   Value array(OpBuilder &builder, Location loc, ArrayRef<int32_t> numbers);
 
-  /// Loads the member of the frame that is `offset` bytes from its start.
+  /// Emits a load of the member of the frame that is `offset` bytes from its
+  /// start.
   Value frameMember(OpBuilder &builder, Location loc, Value frame,
                     size_t offset, Type type);
 
@@ -111,17 +112,19 @@ private:
 /// stack.
 Value emitStackSlots(OpBuilder &builder, Location loc, int64_t count);
 
-/// Emits the address of slot `index` of `slots`.
+/// Emits the address of slot number `index` of the array `slots`.
 Value emitSlot(OpBuilder &builder, Location loc, Value slots, int64_t index);
 
 /// Stores a scalar at the start of a slot in its own type, or loads a scalar.
 void emitSlotStore(OpBuilder &builder, Location loc, Value value, Value slot);
 Value emitSlotLoad(OpBuilder &builder, Location loc, Type type, Value slot);
 
-/// The number of slots that a value of this type occupies (see TaiFrame).
+/// Returns the number of argument slots that a value of this type occupies (see
+/// TaiFrame).
 int64_t getNumSlots(Type type);
 
-/// The values that a message of the runtime shows: slots, kinds and shapes.
+/// The values that a message of the runtime shows: their slots, kinds and
+/// shapes.
 struct MessageValues {
   Value count, kinds, shapes, slots;
 };
@@ -131,7 +134,7 @@ MessageValues emitMessageValues(RuntimeCalls &runtime, OpBuilder &builder,
                                 Location loc, ValueRange values,
                                 ArrayRef<int32_t> shapes);
 
-/// Reports a failure of the launch.
+/// Emits a report of a failure of the launch.
 void emitFail(RuntimeCalls &runtime, OpBuilder &builder, Location loc,
               Value frame, int32_t failure, StringRef message,
               ValueRange values, ArrayRef<int32_t> shapes);

@@ -32,40 +32,42 @@ public:
     std::function<void()> task;
     State state = State::Queued;
     bool isNeeded = false;
-    /// No caller will use the result of the job.
+    /// True if no caller will use the result of the job any more.
     std::atomic<bool> isAbandoned{false};
   };
   using JobPtr = std::shared_ptr<Job>;
 
-  /// Threads without a job sleep and are reused: MLIR's per-thread storage
-  /// lives until the end of the context, 4 KiB for every kind of attribute.
-  /// fork() waits for running jobs, so that no child inherits half a job, and
-  /// joins the threads; so does process exit, before code and data that they
-  /// use are destroyed.
+  /// Starts with no threads. Threads without a job sleep and are reused: MLIR's
+  /// per-thread storage lives until the end of the context, 4 KiB for every
+  /// kind of attribute. fork() waits for running jobs, so that no child process
+  /// inherits a job half done, and joins the threads; so does process exit,
+  /// before code and data that the threads use are destroyed.
   explicit Background(unsigned maxThreads);
   ~Background();
   Background(const Background &) = delete;
   Background &operator=(const Background &) = delete;
 
-  /// Waits for running jobs. Queued jobs and all later jobs run in finish()
-  /// only, except jobs of doLater().
+  /// Waits for running jobs, and lets no thread start another job. Queued jobs
+  /// and all later jobs run in finish() only, except jobs of doLater().
   void stop();
-  /// Calls stop() on all instances.
+  /// Calls stop() on all instances of Background.
   static void stopAll();
 
-  /// Queues a job. Without threads, it runs in finish().
+  /// Queues a job for a background thread. If there are no threads, the job
+  /// runs in finish().
   JobPtr start(std::function<void()> task);
-  /// Queues a job for which nobody calls finish(); it is done at the latest
-  /// when the threads are stopped.
+  /// Queues a job for which no caller will call finish(). The job is done at
+  /// the latest when the threads are stopped.
   void doLater(std::function<void()> task);
 
-  /// Returns once the job is done; runs it here if it has not begun. False if
-  /// it runs on another thread and the wait was interrupted at a safepoint.
+  /// Returns once the job is done; runs it on the calling thread if it has not
+  /// begun. False if the job runs on another thread and the wait was
+  /// interrupted at a safepoint.
   bool finish(Job &job);
 
-  /// Runs a job at once, on a thread of its own if one is available, and waits
-  /// for it. False, with the job still running, if the wait was interrupted at
-  /// a safepoint.
+  /// Runs a task at once, on another thread if one is available, and waits for
+  /// its end. False, with the task still running, if the wait was interrupted
+  /// at a safepoint.
   bool runAside(std::function<void()> task);
 
   /// The way in which a job waits for something outside of the process: keep
@@ -75,51 +77,55 @@ public:
   enum class Wish { Wait, Hurry, Abandon };
   static Wish getWish();
 
-  /// Drops the job if it has not begun, else waits for it.
+  /// Drops a job that has not begun, or waits for the end of a running job.
   void cancel(Job &job);
 
 private:
   friend struct BackgroundForks;
-  /// The maximum of sleeping threads.
+  /// The most threads that sleep while they wait for jobs; further threads end.
   static constexpr unsigned kMostIdle = 16;
 
   void run(std::list<runtime::Thread>::iterator self);
-  /// Wakes or creates a thread to look for a job, if allowed; the lock is held.
+  /// Wakes or creates a thread that will look for a job, if another thread is
+  /// allowed. The caller holds the lock.
   bool callThread();
-  /// The next job of a thread, or null; the lock is held.
+  /// Takes the next job for a thread, or null. The caller holds the lock.
   JobPtr takeNext();
   unsigned numThreads() const { return threads.size(); }
   unsigned numBusy() const { return numThreads() - idle; }
   JobPtr add(std::function<void()> task, bool isNeeded);
-  /// Runs the task of a job, with the job current for getWish().
+  /// Runs the task of a job, as the job about which getWish() returns
+  /// information.
   void perform(Job &job);
-  /// Runs a job that no other thread runs; the lock is held, except while it
-  /// runs.
+  /// Runs a job, which no other thread runs, on the calling thread. The caller
+  /// holds the lock, which is released while the job runs.
   void runHere(Job &job, std::unique_lock<std::mutex> &lock);
-  /// Waits until all threads have ended, after they were asked to end.
+  /// Waits until all threads, which have been asked to end, have ended.
   void endThreads(std::unique_lock<std::mutex> &lock);
   void hold();
   void release(bool inChild);
   bool waitFor(Job &job, std::unique_lock<std::mutex> &lock);
-  /// Takes the job from the queue; false if it has begun.
+  /// Removes a job from the queue; false if the job has begun.
   bool take(Job &job);
 
   std::atomic<unsigned> maxThreads;
   std::mutex mutex;
-  /// A job is done, or a thread has ended.
+  /// Signals that a job is done, or that a thread has ended.
   std::condition_variable changed;
-  /// A sleeping thread shall look for a job.
+  /// Signals that a sleeping worker thread shall look for a job.
   std::condition_variable called;
   std::deque<JobPtr> queue;
-  /// The jobs of runAside(). For each such job, a thread was called.
+  /// The jobs of runAside(), which do not wait until other jobs have run. A
+  /// thread was started for each of them.
   std::deque<JobPtr> asides;
   std::list<runtime::Thread> threads;
-  /// Threads that have ended or are about to, and hold no lock any more.
+  /// Threads that have ended or are about to end, and hold no lock any more.
   std::list<runtime::Thread> ended;
   unsigned idle = 0;
-  /// Threads that were called and have not woken up yet.
+  /// The number of threads that were called and have not woken up yet.
   unsigned calls = 0;
-  /// Whether threads end after the job that they run.
+  /// True while each thread ends after the job that it is running, as before a
+  /// fork.
   std::atomic<bool> isHeld{false};
 };
 

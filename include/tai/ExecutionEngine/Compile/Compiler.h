@@ -51,21 +51,22 @@ struct CompileOptions {
 #include "tai/Support/Options.def"
     return same;
   }
-  /// The options as text, for the key of the cache.
+  /// The compile options as text, for the key of the cache of object code.
   std::string str() const;
 };
 
-/// Steps of a compilation, for the profile.
+/// Steps of a compilation, for the compile-time profile.
 enum class Phase { Cache, Autodiff, Lower, Translate, Optimize, Emit, Link };
 constexpr unsigned kNumPhases = 7;
 StringRef stringifyPhase(Phase phase);
 
-/// Seconds spent in each phase.
+/// The seconds spent in each phase of a compilation.
 using PhaseTimes = std::array<double, kNumPhases>;
 
-/// Persistent storage of compiled objects. Called from any thread.
+/// Persistent storage of compiled objects, as functions of its owner that are
+/// called from any thread.
 struct ObjectCache {
-  /// The bytes stored under the key, or none. Damaged entries are never
+  /// Returns the bytes stored under a key, or none. Damaged entries are never
   /// returned.
   std::function<std::optional<std::string>(StringRef key)> load;
   std::function<void(StringRef key, StringRef bytes)> store;
@@ -78,7 +79,7 @@ struct ObjectCache {
   explicit operator bool() const { return static_cast<bool>(load); }
 };
 
-/// A function to compile.
+/// Describes a function to compile, or one of its derivatives.
 struct CompileRequest {
   /// ZeroingAdjoint: the adjoint that zeroes the adjoints of the elements which
   /// the kernel overwrites. StoredAdjoint: the adjoint that loads stored
@@ -103,50 +104,55 @@ struct CompileRequest {
     return goal == Goal::StoredAdjoint || goal == Goal::StoredZeroingAdjoint;
   }
 
-  /// Not modified. Holds the function, its callees, and the trees and fields
-  /// that it uses.
+  /// The module that holds the function, its callees, and the trees and fields
+  /// that it uses. The compiler does not modify the module.
   ModuleOp module;
   StringRef name;
   Goal goal;
-  /// Make the forward-mode variant instead: the function with tangents.
+  /// Requests the forward-mode variant instead: the function with tangents.
   bool forward = false;
 };
 
 class Compiler {
 public:
-  /// Builders of the pass pipelines. Each pipeline is run by one thread at a
-  /// time.
+  /// Functions that build the pass pipelines. Each pipeline is run by one
+  /// thread at a time.
   struct Pipelines {
     std::function<void(OpPassManager &, const CompileOptions &, bool zeroes)>
         autodiff;
-    /// Extends all kernels of a module by tangents.
+    /// Adds passes that extend all kernels of a module by tangents.
     std::function<void(OpPassManager &, const CompileOptions &)> forward;
     std::function<void(OpPassManager &, const CompileOptions &)> toLLVM;
-    /// Like toLLVM, for a kernel on a device: also leaves a `gpu.module`.
+    /// Lowers a kernel for a device: like toLLVM, but also leaves a
+    /// `gpu.module` with the device code.
     std::function<void(OpPassManager &, const CompileOptions &)> toDevice;
-    /// The pass whose output is the stage "scf", without and with a device.
+    /// The names of the passes whose output is the stage "scf", without and
+    /// with a device.
     std::string scfPass, deviceScfPass;
   };
 
-  /// Call loadDialects() before several threads use the context.
+  /// Creates a compiler. loadDialects() must be called before several threads
+  /// use the context.
   Compiler(MLIRContext *context, Pipelines pipelines,
            ArrayRef<runtime::RuntimeSymbol> runtime);
   ~Compiler();
 
-  /// Loads the dependent dialects of the pipelines into the context.
+  /// Loads into the context the dialects that the pipelines depend on.
   void loadDialects();
 
   void setCache(ObjectCache cache) { this->cache = std::move(cache); }
-  /// The assembler of the device, which compiling threads call; may be null.
+  /// Sets the device's assembler, which compiling threads call; may be null.
   void setAssembler(runtime::DeviceAssembler assembler) {
     this->assembler = std::move(assembler);
   }
 
   struct Function {
-    /// Null for an adjoint without effects.
+    /// The address of the compiled function. Null for an adjoint without
+    /// effects.
     void *address = nullptr;
     Linker::Library *library = nullptr;
-    /// The trees whose base addresses the function needs, in order.
+    /// The names of the trees whose base addresses the function takes, in the
+    /// order of its arguments.
     std::vector<std::string> trees;
     /// As in CompiledObject.
     SkipAmounts skipped{};
@@ -161,32 +167,35 @@ public:
     std::shared_ptr<const Interpreter> interpreter;
   };
 
-  /// Compiles, or loads from the cache, and links. Thread-safe.
+  /// Loads the function from the cache or compiles it, and links it.
+  /// Thread-safe.
   std::optional<Function> compile(CompileRequest request,
                                   const CompileOptions &options,
                                   Failure &failure);
 
-  /// Compiles in two steps, prepare and finish. After prepare, the ToBeRecorded
-  /// of an adjoint is known; on a cache hit, only linking remains.
+  /// The state between the two steps of a compilation, prepare and finish.
+  /// After prepare, the values that an adjoint needs recorded (ToBeRecorded)
+  /// are known; on a cache hit, only linking remains.
   struct Prepared {
-    /// The current step, or the step that has failed.
+    /// The step that the compilation has reached, or in which it has failed.
     enum class Step { Autodiff, Forward, Lower, Code };
     Step step = Step::Autodiff;
     std::string key;
-    /// The object, if it came from the cache.
+    /// The compiled object, if it came from the cache.
     std::optional<CompiledObject> object;
-    /// Otherwise the differentiated module, and the symbol of its entry point.
+    /// If no object came from the cache: the differentiated module, and the
+    /// symbol of its entry point.
     OwningOpRef<ModuleOp> module;
     std::string symbol;
     std::string toBeRecorded;
     SkipAmounts skipped{};
     std::vector<Warning> warnings;
     PhaseTimes times = {};
-    /// Makes other processes wait for the object.
+    /// The claim that makes other processes wait for the compiled object.
     std::shared_ptr<void> claim;
   };
-  /// With `claims`, finish must follow at once: other processes wait for the
-  /// object.
+  /// Does the first step of a compilation. With `claims`, `finish` must follow
+  /// at once, because other processes wait for the object.
   std::optional<Prepared> prepare(CompileRequest request,
                                   const CompileOptions &options,
                                   Failure &failure, bool claims = false);
@@ -208,14 +217,14 @@ public:
     addReproducer(request, options, Prepared::Step::Code, failure);
   }
 
-  /// Frees a function that is not running.
+  /// Unlinks a compiled function, which must not be running.
   void unload(const Function &function);
   /// The number of objects that are linked and not freed.
   int64_t numLinked() const { return linker ? linker->numLinked() : 0; }
 
-  /// The IR at a stage: "tai", "autodiff", "scf", "llvm", "llvmir", "asm"; with
-  /// a device also its code, "nvvm" and "ptx". "autodiff" can have the places
-  /// of its operations.
+  /// Prints the IR at a stage of the compilation: "tai", "autodiff", "scf",
+  /// "llvm", "llvmir", "asm"; with a device also its code, "nvvm" and "ptx".
+  /// The stage "autodiff" can include the source locations of its operations.
   std::optional<std::string> print(CompileRequest request, StringRef stage,
                                    const CompileOptions &options,
                                    Failure &failure, bool withPlaces = false);
@@ -225,31 +234,32 @@ public:
     return stage == "nvvm" || stage == "ptx";
   }
 
-  /// Seconds spent in each phase since the start, over all threads.
+  /// The seconds spent in each compile phase since the start, summed over all
+  /// threads.
   PhaseTimes getTotals();
 
 private:
   struct Worker;
   class WorkerLease;
 
-  /// Loads the object from the cache, if it is there.
+  /// Loads the compiled object from the cache, if it is there.
   void load(Prepared &prepared, CompileRequest request);
-  /// Loads the object, after waiting for another process that is making it; or
-  /// else claims the right to make it. Fails where the wait for another process
-  /// was interrupted.
+  /// Loads the compiled object from the cache after waiting for another process
+  /// that is making it, or else claims the right to make it. Fails where the
+  /// wait was interrupted.
   LogicalResult claimOrLoad(Prepared &prepared, CompileRequest request,
                             Failure &failure);
   /// The differentiation step.
   LogicalResult start(CompileRequest request, const CompileOptions &options,
                       Prepared &prepared, Failure &failure);
-  /// Links an object; on failure, sets `failure`.
+  /// Links a compiled object into the process; on failure, sets `failure`.
   LogicalResult link(const CompiledObject &object, StringRef name,
                      Function &function, Failure &failure);
   std::optional<CompiledObject> makeObject(CompileRequest request,
                                            const CompileOptions &options,
                                            Prepared &prepared,
                                            Failure &failure);
-  /// Makes the module to lower: for an adjoint, by differentiation.
+  /// Makes the module that is lowered: for an adjoint, by differentiation.
   LogicalResult differentiate(Worker &worker, CompileRequest request,
                               Prepared &prepared, Failure &failure);
   LogicalResult lower(Worker &worker, CompileRequest request,
@@ -271,12 +281,13 @@ private:
                                         const CompileOptions &options,
                                         Prepared &prepared, Failure &failure,
                                         bool withPlaces);
-  /// Takes the device code out of a lowered module and compiles it.
+  /// Takes the device code out of a lowered module, and compiles it to an
+  /// image.
   LogicalResult compileDeviceCode(Worker &worker, const CompileOptions &options,
                                   Prepared &prepared,
                                   std::optional<runtime::DeviceImage> &image,
                                   Failure &failure);
-  /// Prints the stages after the LLVM dialect.
+  /// Prints a stage of compilation after the LLVM dialect: LLVM IR or assembly.
   std::optional<std::string> printCode(Worker &worker, Prepared &prepared,
                                        StringRef stage,
                                        const CompileOptions &options,
@@ -284,10 +295,11 @@ private:
   /// Replaces the kernels of a module by their forward-mode variants.
   LogicalResult extendByTangents(Worker &worker, CompileRequest request,
                                  Prepared &prepared, Failure &failure);
-  /// A digest of the module with its source locations.
+  /// Returns a digest of the request's module including its source locations.
   static std::string getPlaces(CompileRequest request);
   std::string getKey(CompileRequest request, const CompileOptions &options);
-  /// The key of a program, from its LLVM IR.
+  /// Returns the cache key of a program fused from several device kernels,
+  /// given as LLVM IR.
   std::string getProgramKey(StringRef text, const CompileOptions &options);
   Linker *getLinker(Failure &failure);
   /// Adds a reproducer to the failure of a step, if it is an internal error.

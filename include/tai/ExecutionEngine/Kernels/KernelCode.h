@@ -28,8 +28,8 @@
 namespace mlir::tai {
 struct ToBeRecorded;
 
-/// The names of the kernels that may be launched. Tapes keep some kernels
-/// longer than their handles do. Thread-safe.
+/// The set of names of kernels that may still be launched. Tapes keep some
+/// kernels longer than the handles of these kernels live. Thread-safe.
 class CodeNames {
 public:
   void add(StringRef name) {
@@ -56,7 +56,7 @@ private:
   std::atomic<int64_t> total{0};
 };
 
-/// The parts of a session that kernels use. They outlive all kernels.
+/// The parts of a session that its kernels use. They outlive all kernels.
 struct KernelServices {
   Compiler &compiler;
   Background &background;
@@ -68,24 +68,25 @@ struct KernelServices {
   WarningLog &warnings;
 };
 
-/// Lives as long as the runtime may launch the kernel; because of tapes, this
-/// can be longer than the life of the kernel's handle.
+/// The compiled code of one kernel. Lives as long as the runtime may launch the
+/// kernel; because of tapes, this can be longer than the life of the kernel's
+/// handle.
 class KernelCode final : public runtime::KernelProvider,
                          public std::enable_shared_from_this<KernelCode> {
 public:
-  /// Filled in by makeKernel.
+  /// The module of a kernel and its declarations. Filled in by makeKernel.
   struct Source {
     std::string name;
-    /// The source location of the kernel, or empty.
+    /// The source location of the kernel as text, or empty.
     std::string place;
     CompileOptions options;
     OwningOpRef<ModuleOp> module;
     int64_t argSlots = 0;
     int64_t resultSlots = 0;
-    /// The trees that the module declares.
+    /// The trees that the kernel's module declares.
     std::vector<runtime::TreePtr> trees;
-    /// The fields that the module declares, by name. After such a field is
-    /// destroyed, another field may reuse its name.
+    /// The fields that the kernel's module declares, by name. After such a
+    /// field is destroyed, another field may reuse its name.
     llvm::StringMap<runtime::FieldPtr> fields;
   };
 
@@ -94,7 +95,7 @@ public:
 
   const std::string &getName() const { return source.name; }
   const CompileOptions &getOptions() const { return source.options; }
-  /// The trees that the module declares, in the order of its ops.
+  /// The trees that the kernel's module declares, in the order of its ops.
   const std::vector<runtime::TreePtr> &getTrees() const { return source.trees; }
   ModuleOp getModule() const { return source.module.get(); }
   /// The field that the kernel's module means by `name`, or null.
@@ -102,13 +103,13 @@ public:
     return source.fields.lookup(name);
   }
   KernelOp getKernel() const;
-  /// All functions linked so far.
+  /// All functions linked for the kernel so far.
   ArrayRef<Compiler::Function> getFunctions() const { return functions; }
-  /// The request that compiles a variant of the kernel.
+  /// The request by which the compiler makes a variant of the kernel.
   CompileRequest getRequest(CompileRequest::Goal goal,
                             bool forward = false) const;
-  /// The variant of the adjoint that a tape launches for the kernel unless
-  /// launches before it need another one.
+  /// The variant of the adjoint that a tape launches for the kernel, unless
+  /// launches that precede it on the tape need another variant.
   CompileRequest::Goal getTapeGoal(const runtime::Kernel &kernel) const;
 
   //===--------------------------------------------------------------------===//
@@ -128,10 +129,11 @@ public:
   runtime::Status makeTangent(runtime::KernelPtr &tangent) override;
   std::string explainRefusal(const std::string &reason) override;
 
-  /// The forward-mode variant of the kernel or of one of its adjoints.
+  /// Makes the forward-mode variant of the kernel or of one of its adjoints.
   runtime::Status makeTangentOf(CompileRequest::Goal goal,
                                 runtime::KernelPtr &tangent);
-  /// Code that a device rejects is an internal error: adds a reproducer.
+  /// Describes why a device rejected the kernel's compiled code. Such a
+  /// rejection is an internal error, so a reproducer is written.
   std::string explainRefusalOf(CompileRequest::Goal goal, bool forward,
                                const std::string &reason);
 
@@ -150,16 +152,17 @@ private:
   std::optional<Compiler::Function>
   compileAs(CompileRequest::Goal goal, Failure &failure, bool forward = false);
   void choosePlannedForm(const runtime::Kernel &kernel);
-  /// The variant that a tape most likely launches.
+  /// The variant of the adjoint that a tape most likely launches.
   CompileRequest::Goal getPlannedGoal() const {
     return CompileRequest::getAdjointGoal(planZeroes, planLoadsStored);
   }
-  /// Differentiates the kernel unless that has been done. The caller holds
+  /// Differentiates the kernel unless this has been done. The caller holds
   /// `prepareMutex`.
   LogicalResult prepareAdjoint(Failure &failure, bool claims);
   std::optional<Compiler::Function> compilePlannedAdjoint(Failure &failure);
   bool canReadStored(CompileRequest::Goal goal, const ToBeRecorded &told);
-  /// Adds the skip counters of a function that was compiled or loaded.
+  /// Adds the skip counters of a function that was compiled, or loaded from the
+  /// cache, to the statistics.
   void count(const Compiler::Function &function, bool isAdjoint);
   std::vector<runtime::TreePtr> findTrees(ArrayRef<std::string> names) const;
   runtime::KernelInfo getFormInfo(const Compiler::Function &compiled,
@@ -168,7 +171,7 @@ private:
 
   KernelServices services;
   Source source;
-  /// All functions that were linked for the kernel.
+  /// Guards the list of functions that were linked for the kernel.
   std::mutex functionsMutex;
   std::vector<Compiler::Function> functions;
   /// Guards the adjoint, in the variant that a tape most likely launches,
@@ -180,22 +183,23 @@ private:
   bool planZeroes = false, planLoadsStored = true;
   std::optional<Compiler::Prepared> prepared;
   std::optional<std::string> toBeRecorded;
-  /// The job that compiles the adjoint ahead of need, and its result.
+  /// The background job that compiles the adjoint before it is needed, and the
+  /// result of the job.
   Background::JobPtr ahead;
   std::optional<Compiler::Function> aheadResult;
   Failure aheadFailure;
 };
 
-/// A kernel of the runtime, and its code.
+/// The kernel object of the runtime, and the kernel's compiled code.
 struct MadeKernel {
   std::shared_ptr<KernelCode> code;
   runtime::KernelPtr kernel;
 };
 
-/// Makes a kernel of the runtime from a module with a kernel of the given name:
-/// adds the declarations that the kernel uses, and verifies it. Failures go to
-/// the log. `modes`, the modes of the context, have been added to the kernel
-/// before.
+/// Makes a runtime kernel from a module that contains a kernel of the given
+/// name: adds to the module the declarations that the kernel uses, and verifies
+/// it. Failures go to the log. `modes`, the modes of the context, have been
+/// added to the kernel before.
 FailureOr<MadeKernel> makeKernel(const KernelServices &services,
                                  OwningOpRef<ModuleOp> module, StringRef name,
                                  const CompileOptions &options,

@@ -18,13 +18,13 @@
 
 namespace mlir::tai {
 
-/// The accesses of the kernel, and of the functions that it calls, to fields of
-/// the runtime.
+/// Lists the accesses of a kernel, and of the functions that it calls, to
+/// fields of the runtime.
 std::vector<runtime::Access> summarize(const runtime::Runtime &rt,
                                        ModuleOp module, KernelOp kernel);
 
-/// The dependences of the kernel's stored floats on loaded floats, with or
-/// without gradients; for the fields of its summary and for its arguments.
+/// Finds which stored floats of a kernel depend on which loaded floats, with or
+/// without gradients, for the fields in its summary and for its arguments.
 runtime::KernelFlows findFlows(KernelOp kernel,
                                ArrayRef<runtime::Access> summary);
 

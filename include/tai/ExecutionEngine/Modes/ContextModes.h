@@ -25,12 +25,13 @@ struct ContextModes {
   std::string sums = "default";
   std::string math = "default";
   bool ftz = false;
-  /// "f64": gradients of fields are fields of f64.
+  /// With "f64", the gradients of all fields are stored as f64.
   std::string adjoints = "default";
-  /// Options that are short forms of modes.
+  /// Options of a context that are short forms of numeric modes.
   enum class Shorthand : unsigned { FastMath, Strict, Deterministic };
   std::bitset<3> shorthands;
-  /// Not a mode, but it excludes the modes that strict arithmetic excludes.
+  /// True if shadow execution is on: not a numeric mode, but it excludes the
+  /// same modes that strict arithmetic excludes.
   bool shadow = false;
 
   bool has(Shorthand option) const {
@@ -42,15 +43,15 @@ struct ContextModes {
     return has(Shorthand::Deterministic) || sums == "deterministic";
   }
 
-  /// Sets one of the five modes by name. Returns "" or, for an invalid value, a
-  /// description of the valid values.
+  /// Sets the option `precision`, `sums`, `math` or `adjoints` to a word.
+  /// Returns "" or, for an invalid word, a description of the valid words.
   std::string setWord(StringRef name, StringRef word);
 
-  /// Why the settings contradict each other, or "".
+  /// Returns the reason why the modes contradict each other, or "".
   std::string findContradiction() const;
 
-  /// Sets the modes on the kernels of a module, except modes that a kernel
-  /// itself specifies.
+  /// Sets the modes of the context on the kernels of a module, except modes
+  /// that a kernel itself specifies.
   void addTo(ModuleOp module) const;
 
   /// Reports an error at the first field of a module whose gradient field does

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Holds the declarations, creates the runtime's trees and fields from them, and
-// adds to each kernel's module the declarations that it uses.
+// Holds the tree and field declarations of a session, creates the runtime's
+// trees and fields from them, and adds to each kernel's module the declarations
+// that the kernel uses.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,24 +22,26 @@
 
 namespace mlir::tai {
 
-/// Used by one thread at a time. Failures go to the log.
+/// The declarations of one session, used by one thread at a time. Failures go
+/// to the session's log.
 class Declarations {
 public:
   Declarations(MLIRContext *context, runtime::Runtime &runtime,
                FailureLog &failures);
 
-  /// Adds a tree, by the text of its layout or by its op.
+  /// Declares a tree, from the text of its layout or from its op.
   LogicalResult addTree(StringRef name, StringRef layout);
   LogicalResult addTree(TreeOp tree);
-  /// Removes the tree and its fields, and frees the memory.
+  /// Removes a tree with its fields, and frees their memory.
   LogicalResult destroyTree(StringRef name);
 
-  /// Adds a field, by the text of a `tai.field` op or by the op. The adjoint
-  /// that the op names may be added later.
+  /// Declares a field, from the text of a `tai.field` op or from the op. The
+  /// adjoint field that the op names may be declared later.
   FailureOr<runtime::FieldPtr> addField(StringRef declaration);
   FailureOr<runtime::FieldPtr> addField(FieldOp field);
 
-  /// Adds the declarations that `module` refers to and does not hold.
+  /// Adds to `module` the tree and field declarations that it refers to and
+  /// does not hold.
   LogicalResult declareUsed(ModuleOp module);
 
   int64_t size() const;

@@ -20,8 +20,9 @@
 
 namespace mlir::tai {
 
-/// Reads text, or the output of `writeModule`. Emits an error at `file` and
-/// returns null for bytecode that is damaged or has no checksum.
+/// Reads a module from text, or from the output of `writeModule`. Emits an
+/// error at `file` and returns null for bytecode that is damaged or has no
+/// checksum.
 OwningOpRef<ModuleOp> readModule(StringRef bytes, const ParserConfig &config,
                                  StringRef file);
 
@@ -29,7 +30,7 @@ OwningOpRef<ModuleOp> readModule(StringRef bytes, const ParserConfig &config,
 /// Emits an error otherwise.
 bool checkText(StringRef text, MLIRContext *context, StringRef file);
 
-/// Writes the module as a checksum followed by bytecode.
+/// Writes a module as a checksum followed by bytecode.
 LogicalResult writeModule(ModuleOp module, llvm::raw_ostream &stream);
 
 } // namespace mlir::tai

@@ -18,8 +18,8 @@
 
 namespace mlir::tai {
 
-/// Must not outlive its session. Trees and fields belong to the session, and
-/// stay when the program is destroyed.
+/// A loaded module. Must not outlive its session. Trees and fields belong to
+/// the session, and remain when the program is destroyed.
 class Program {
 public:
   /// Reads a module from text or bytecode (see ModuleFile.h), without verifying
@@ -36,11 +36,12 @@ public:
   Program &operator=(const Program &) = delete;
 
   ModuleOp getModule() const { return *file; }
-  /// The kernel called `name`, or null.
+  /// The kernel of the program called `name`, or null.
   SessionKernel *findKernel(StringRef name) const {
     return kernels.lookup(name);
   }
-  /// Runs a `func.func` that has neither arguments nor results.
+  /// Runs the host function called `name`, a `func.func` that has neither
+  /// arguments nor results.
   LogicalResult run(StringRef name);
 
 private:
@@ -52,7 +53,7 @@ private:
   Session &session;
   OwningOpRef<ModuleOp> file;
   llvm::StringMap<SessionKernel *> kernels;
-  /// Compiled functions by name.
+  /// Compiled host functions by name.
   llvm::StringMap<Session::HostFunction> functions;
 };
 

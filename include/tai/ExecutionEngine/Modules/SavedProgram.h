@@ -19,7 +19,7 @@ namespace mlir::tai {
 /// The attribute of a saved module: a dictionary of `version`, `loss` and
 /// `wrt`.
 constexpr llvm::StringLiteral kSaved = "tai.saved";
-/// The version that is written, and the only one that is read.
+/// The version of saved modules that is written, and the only one that is read.
 constexpr int64_t kSavedVersion = 1;
 
 /// The launches of a tape as a module, with the present contents of the fields
@@ -30,7 +30,8 @@ FailureOr<OwningOpRef<ModuleOp>> saveTape(Session &session,
                                           const runtime::Field &loss,
                                           ArrayRef<runtime::FieldPtr> wrt);
 
-/// Checks the version of a module, if it is saved.
+/// Checks the version of a module that was made by saveTape; succeeds for other
+/// modules.
 LogicalResult checkSaved(ModuleOp module);
 
 } // namespace mlir::tai

@@ -17,7 +17,8 @@
 
 namespace mlir::tai {
 
-/// Thread-safe: reports are not interleaved.
+/// Writes the reports of compilations. Thread-safe: reports of several threads
+/// are not interleaved.
 class CompileReports {
 public:
   CompileReports();
@@ -26,10 +27,12 @@ public:
   void setStages(SmallVector<std::string> names) { stages = std::move(names); }
   void setProfile(bool on) { printsProfile = on; }
 
-  /// Prints the requested stages that the kernel has.
+  /// Prints the IR of a kernel at each requested stage that the kernel passes
+  /// through.
   void printStages(Compiler &compiler, CompileRequest request,
                    const CompileOptions &options);
-  /// Prints one line: the origin of the code (cache or compiled) and the times.
+  /// Prints a line with the origin of a kernel's code (cache or compiler) and
+  /// the times of the compile phases.
   void printProfile(StringRef name, CompileRequest::Goal goal,
                     const Compiler::Function &function);
 

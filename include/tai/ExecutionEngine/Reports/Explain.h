@@ -13,7 +13,8 @@
 
 namespace mlir::tai {
 
-/// A copy of a remark that outlives the pass.
+/// A copy of a compiler remark, which outlives the pass that emitted the
+/// remark.
 struct KeptRemark {
   std::string category, name;
   Location location;
@@ -22,14 +23,15 @@ struct KeptRemark {
   StringRef get(StringRef key) const;
 };
 
-/// Keeps the remarks that passes emit on this thread during its lifetime. The
-/// context must have been prepared.
+/// Keeps the remarks that passes emit on the current thread during the lifetime
+/// of the scope. `prepare` must have been called for the context.
 class RemarkScope {
 public:
   RemarkScope();
   ~RemarkScope();
 
-  /// Call once, before several threads use the context.
+  /// Makes remarks of the context reach the scopes. Must be called once, before
+  /// several threads use the context.
   static void prepare(MLIRContext *context);
 
   ArrayRef<KeptRemark> getRemarks() const { return remarks; }
@@ -40,10 +42,10 @@ private:
   RemarkScope *outer;
 };
 
-/// A text on how kernel `name` runs its loops and does its updates, and how its
-/// gradient handles loops and branches and which memory it accesses. `module`
-/// holds the adjoint; the remarks are those of differentiation, of the kernel's
-/// lowering, and of the lowering of its gradient.
+/// Returns a text on how kernel `name` runs its loops and does its updates, and
+/// on how its gradient handles loops and branches and which memory it accesses.
+/// `module` holds the adjoint; the remarks are those of differentiation, of the
+/// kernel's lowering, and of the lowering of its gradient.
 std::string explainKernel(ModuleOp module, StringRef name, bool onDevice,
                           ArrayRef<KeptRemark> remarks,
                           ArrayRef<KeptRemark> lowering,

@@ -25,7 +25,7 @@ namespace mlir::tai {
 /// Thread-safe.
 class FailureLog {
 public:
-  /// The last failure of the calling thread.
+  /// The last failure reported to the calling thread.
   const Failure &getLast() const;
 
   /// Sets the last failure of the calling thread; returns failure().
@@ -33,15 +33,17 @@ public:
   LogicalResult fail(FailureKind kind, const Twine &message) {
     return fail(Failure::get(kind, message));
   }
-  /// Sets the last failure from a status of the runtime; returns failure().
+  /// Sets the last failure of the calling thread from a status of the runtime;
+  /// returns failure().
   LogicalResult fail(const runtime::Status &status);
   LogicalResult check(const runtime::Status &status) {
     return status.ok() ? success() : fail(status);
   }
 
-  /// Keeps a failure and returns a status that refers to it.
+  /// Keeps a failure in the log and returns a status that refers to it by
+  /// number.
   runtime::Status keep(Failure failure);
-  /// The number of kept failures.
+  /// The number of failures kept in the log.
   int64_t numKept() const;
 
 private:

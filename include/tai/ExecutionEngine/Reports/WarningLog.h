@@ -23,14 +23,16 @@ namespace mlir::tai {
 /// Thread-safe.
 class WarningLog {
 public:
-  /// `isOfGradient`: the warning is about an adjoint or a forward-mode variant.
+  /// Receives warnings. `isOfGradient` is true for a warning about an adjoint
+  /// or a forward-mode variant.
   using Handler = std::function<void(const Warning &, bool isOfGradient)>;
 
-  /// A null handler prints warnings.
+  /// Sets the function that receives warnings. A null handler prints warnings.
   void setHandler(Handler handler);
 
-  /// Reports the warnings that have not been reported yet: a kernel is compiled
-  /// once for each of its variants.
+  /// Reports those of the given warnings that have not been reported yet. A
+  /// kernel is compiled once for each of its variants, which would repeat
+  /// warnings.
   void tell(ArrayRef<Warning> warnings, bool isOfGradient);
 
 private:

@@ -25,7 +25,7 @@ class InvalidAfterPass : public PassInstrumentation {
 public:
   struct Finding {
     std::string pass;
-    /// The first error that the verifier reported after the pass.
+    /// The first error that the verifier reported after the recorded pass.
     std::string error;
   };
   explicit InvalidAfterPass(Finding &finding) : finding(finding) {}

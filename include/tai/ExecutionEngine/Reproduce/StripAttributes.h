@@ -23,11 +23,12 @@
 
 namespace mlir::tai {
 
-/// Drops discardable `tai.*` attributes of ops of any dialect.
+/// Drops discardable `tai.*` attributes of ops of any dialect before each pass,
+/// to test that results do not depend on them.
 class StripAttributes : public PassInstrumentation {
 public:
-  /// `names` are attributes separated by commas; any other text stands for all
-  /// attributes.
+  /// Drops the attributes in `names`, separated by commas; any other text
+  /// stands for all attributes.
   explicit StripAttributes(StringRef names) {
     for (StringRef name : llvm::split(names, ','))
       if (name.starts_with("tai."))
@@ -43,7 +44,7 @@ public:
     });
   }
 
-  /// Adds the instrumentation if TAI_STRIP_ATTRIBUTES is set.
+  /// Adds the instrumentation to a pass manager if TAI_STRIP_ATTRIBUTES is set.
   static void addIfWanted(PassManager &manager) {
     if (const char *names = std::getenv("TAI_STRIP_ATTRIBUTES"))
       manager.addInstrumentation(std::make_unique<StripAttributes>(names));

@@ -25,22 +25,23 @@
 
 namespace mlir::tai {
 
-/// The number of objects in a session.
+/// The numbers of live objects of each kind in a session.
 struct SessionObjects {
   int64_t trees = 0, fields = 0, declarations = 0, kernels = 0, codes = 0,
           linked = 0, failures = 0;
 };
 
-/// A kernel of a session. Compiled on its first launch.
+/// A kernel of a session. The kernel is compiled on its first launch.
 struct SessionKernel {
   std::shared_ptr<KernelCode> code;
   runtime::KernelPtr kernel;
-  /// The position of the kernel in the session's list.
+  /// The position of the kernel in the session's list of kernels.
   std::list<SessionKernel>::iterator place = {};
 };
 
-/// A facade over its parts: Declarations, KernelCode, Compiler, Background,
-/// FailureLog, CompileReports, and the runtime.
+/// The entry point for users of the compiler and the runtime: a facade over
+/// Declarations, KernelCode, Compiler, Background, FailureLog, CompileReports,
+/// and the runtime.
 class Session {
 public:
   Session();
@@ -68,14 +69,14 @@ public:
   LogicalResult check(const runtime::Status &status) {
     return failures.check(status);
   }
-  /// Keeps a failure and returns a status that refers to it, to pass it through
-  /// the runtime. Thread-safe.
+  /// Keeps a failure of the compiler and returns a status that refers to it, to
+  /// pass the failure through the runtime. Thread-safe.
   runtime::Status keepFailure(Failure failure) {
     return failures.keep(std::move(failure));
   }
 
-  /// Sets an option of `taiContextSetOption`. Options that affect code apply to
-  /// kernels created afterwards.
+  /// Sets an option of the session, as `taiContextSetOption` does. Options that
+  /// affect code apply to kernels created afterwards.
   LogicalResult setOption(StringRef name, StringRef value);
 
   //===--------------------------------------------------------------------===//
@@ -102,12 +103,13 @@ public:
     return check(rt->setActive(tree, level, cell, isActive));
   }
 
-  /// Creates a kernel from a module that holds a kernel of the given name: adds
-  /// the trees and fields that the kernel uses, and verifies it.
+  /// Creates a kernel of the session from a module that holds a kernel of the
+  /// given name: adds to the module the trees and fields that the kernel uses,
+  /// and verifies it.
   FailureOr<SessionKernel *> createKernel(OwningOpRef<ModuleOp> module,
                                           StringRef name);
-  /// Creates a kernel from a module as text, or as bytecode with a checksum
-  /// (see ModuleFile.h); `file` names it in diagnostics.
+  /// Creates a kernel of the session from a module as text, or as bytecode with
+  /// a checksum (see ModuleFile.h). Diagnostics call the module `file`.
   FailureOr<SessionKernel *> parseKernel(StringRef bytes, StringRef file,
                                          StringRef name);
   void destroyKernel(SessionKernel *kernel) { kernels.erase(kernel->place); }
@@ -131,36 +133,39 @@ public:
   /// Compiles kernels, and their adjoints if `adjoints`, on several threads.
   LogicalResult compile(ArrayRef<SessionKernel *> kernels, bool adjoints);
 
-  /// Compiles the adjoints that the reverse sweep of the tape will launch.
-  /// `cleared`: gradients will be cleared before the sweep.
+  /// Compiles, ahead of the reverse sweep, the adjoints that the sweep of a
+  /// tape will launch. `cleared` says that gradients will be cleared before the
+  /// sweep, which allows other variants of adjoints.
   LogicalResult prepareReverse(runtime::Tape &tape, bool cleared);
 
-  /// A compiled function that runs on the host.
+  /// A compiled function that runs on the host and launches kernels.
   struct HostFunction {
     std::string name;
     Compiler::Function code;
     CompileOptions options;
-    /// Whether the function accesses fields itself, beside its launches.
+    /// True if the host function accesses fields itself, beside its launches.
     bool usesFields = false;
   };
-  /// Compiles the host function of the given name in the module.
+  /// Compiles the host function called `name` of a module.
   FailureOr<HostFunction> compileHost(ModuleOp module, StringRef name);
-  /// Whether the function was compiled with the options that hold now.
+  /// True if the host function was compiled with the options that the session
+  /// has now.
   bool isCurrent(const HostFunction &function) const {
     return function.options == getHostOptions();
   }
-  /// Runs the function with the kernels that `findKernel` gives for the names
-  /// that it launches.
+  /// Runs a host function. `findKernel` finds the kernels that the function
+  /// launches by name.
   LogicalResult
   runHost(const HostFunction &function,
           const std::function<SessionKernel *(StringRef name)> &findKernel);
-  /// Frees a function that is not running.
+  /// Frees the code of a host function that is not running.
   void unload(const HostFunction &function) { compiler->unload(function.code); }
 
-  /// Whether consecutive launches may be fused into one; see FuseLaunches.
+  /// True if consecutive launches of a host function may be fused into one
+  /// launch; see FuseLaunches.
   bool fusesLaunches() const;
-  /// Fuses kernels that a host function of the file launches one after another
-  /// into one kernel, where the options allow it.
+  /// Fuses into one kernel those kernels that a host function of the module
+  /// launches one after another, where the options allow it.
   LogicalResult fuseLaunchesIn(ModuleOp file);
   bool isDeterministic() const { return compileOptions.deterministic; }
 
@@ -171,7 +176,8 @@ public:
   FailureOr<std::string> explain(SessionKernel &kernel);
 
   std::list<SessionKernel> &getKernels() { return kernels; }
-  /// Adds the declarations that the module refers to and does not hold.
+  /// Adds to `module` the tree and field declarations that it refers to and
+  /// does not hold.
   LogicalResult declareUsed(ModuleOp module) {
     return declarations->declareUsed(module);
   }
@@ -179,21 +185,22 @@ public:
   /// The session's kernel called `name`, or null.
   SessionKernel *findKernel(StringRef name);
 
-  /// Whether a kernel of the name may be launched, by a tape for example.
-  /// Thread-safe.
+  /// True if a kernel called `name` may still be launched, by a tape for
+  /// example. Thread-safe.
   bool hasCode(StringRef name) const { return codeNames.has(name); }
   SessionObjects countObjects();
 
 private:
-  /// The options of functions of the host, which run on the CPU wherever their
-  /// kernels do.
+  /// The compile options for functions of the host, which run on the CPU
+  /// wherever their kernels run.
   CompileOptions getHostOptions() const;
   KernelServices getServices();
-  /// Compiles the kernel and its adjoint before their first launch.
+  /// Compiles a kernel and its adjoint before their first launch.
   LogicalResult compileEagerly(runtime::Kernel &kernel);
   void useCache(StringRef folder);
   void keepChoices(runtime::KeptChoices kept);
-  /// Compiles a program on a thread of `background`.
+  /// Compiles a program, fused from several device kernels, on a thread of
+  /// `background`.
   std::unique_ptr<runtime::ProgramJob> startProgram(runtime::ProgramPlan plan);
 
   // Setters of options that are kept in several members of the session, or in
@@ -209,7 +216,8 @@ private:
   LogicalResult setFtz(bool on);
   LogicalResult setAdjoints(StringRef word);
   LogicalResult setWord(StringRef name, StringRef word);
-  /// Sets the modes of the context; fails if they contradict each other.
+  /// Sets the numeric modes of the session; fails if they contradict each
+  /// other.
   LogicalResult setModes(const ContextModes &wanted);
   LogicalResult setShadow(bool on);
   LogicalResult setSanitize(bool address);
@@ -221,7 +229,7 @@ private:
   LogicalResult setSkip(StringRef names);
   LogicalResult setDeviceMemoryLimit(int64_t bytes);
   LogicalResult setDeviceHeap(int64_t bytes);
-  /// Opens the device, or returns to the CPU.
+  /// Opens the device that runs kernels, or returns to the CPU.
   LogicalResult setArch(StringRef name);
   LogicalResult setFuseLaunches(bool on);
 
@@ -230,18 +238,20 @@ private:
   FailureLog failures;
   CompileReports reports;
   WarningLog warnings;
-  /// Declared before the runtime, to outlive it: kernels of the runtime use the
-  /// names.
+  /// The names of kernels in use. Declared before the runtime, so that they
+  /// outlive its kernels, which refer to these names.
   CodeNames codeNames;
   std::unique_ptr<runtime::Runtime> rt;
   std::unique_ptr<Compiler> compiler;
   Background background;
   std::shared_ptr<runtime::CacheStore> cache;
-  /// Storage for results of trials, such as block sizes, in the cache.
+  /// Keeps results of timing trials, such as block sizes of kernels, in the
+  /// compile cache.
   runtime::KeptChoices keptChoices;
   CompileOptions compileOptions;
   ContextModes modes;
-  /// The memory limit of the device that is opened next.
+  /// The memory limit, in bytes, of the device that is opened next; 0 for no
+  /// limit.
   int64_t deviceMemoryLimit = 0;
   bool fuseLaunches = true;
   std::optional<Declarations> declarations;

@@ -53,25 +53,27 @@ public:
   bool usable() const { return folderDescriptor >= 0; }
   const std::string &folder() const { return path; }
 
-  /// The bytes stored for the key; none if there is no entry or if it is
-  /// damaged. Keys are arbitrary bytes. Thread-safe.
+  /// Returns the bytes stored for a key; none if there is no entry or if the
+  /// entry is damaged. Keys are arbitrary bytes. Thread-safe.
   std::optional<std::string> get(std::string_view key);
-  /// Stores an entry; false if that was not possible. Thread-safe.
+  /// Stores an entry in the cache; false if that was not possible. Thread-safe.
   bool put(std::string_view key, std::string_view bytes);
-  /// Stores an entry on a background thread, since the disk takes milliseconds.
-  /// Until the thread is done, get() may not find the entry.
+  /// Stores an entry on a background thread, since writing to the disk takes
+  /// milliseconds. Until the thread is done, get() may not find the entry.
   void putLater(std::string key, std::string bytes);
   /// The exclusive right, among processes, to make the entry of a key: a file
   /// lock. Other processes wait, and then find the entry. Released with the
   /// last copy, or when the process ends for whatever reason.
   using Claim = std::shared_ptr<void>;
-  /// Waits until the current owner releases the claim, at most `mostSeconds`:
-  /// after that, or where files cannot be locked, the result is null, and two
-  /// processes may make the entry. `goesOn`, if given, is called at least every
-  /// 20 ms; waiting ends when it returns false. Thread-safe.
+  /// Claims the right to make an entry. Waits until the current owner releases
+  /// the claim, at most `mostSeconds`: after that, or where files cannot be
+  /// locked, the result is null, and two processes may make the entry.
+  /// `goesOn`, if given, is called at least every 20 ms; waiting ends when it
+  /// returns false. Thread-safe.
   Claim claim(std::string_view key, double mostSeconds = 60,
               const std::function<bool()> &goesOn = nullptr);
-  /// Waits for the writes of all putLater calls; so does the destructor.
+  /// Waits until the entries of all putLater calls are written, as the
+  /// destructor does.
   void flush();
   /// Removes least recently used entries beyond the limit, and temporary files
   /// of killed processes. `put` does so after each sixteenth of the limit that
@@ -114,7 +116,8 @@ private:
   std::atomic<unsigned> warned{0};
   std::atomic<int64_t> bytesSincePrune{0};
   std::atomic<bool> prunedOnce{false};
-  /// Held by callers of putLater and flush for a moment, never by the writer.
+  /// A mutex that callers of putLater and flush hold for a moment. The writing
+  /// thread never locks it.
   std::mutex writerMutex;
   std::unique_ptr<Writer> writer;
 };

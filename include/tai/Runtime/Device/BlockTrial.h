@@ -33,11 +33,12 @@ class BlockTrial {
 public:
   struct Size {
     unsigned threads;
-    /// The maximum number of blocks of the grid.
+    /// The maximum number of blocks in the grid of the launch.
     unsigned mostBlocks;
   };
   static constexpr unsigned kAnyBlocks = ~0u >> 1;
-  /// Launches over fewer iterations are not timed.
+  /// Launches over fewer iterations than this are not timed to choose a block
+  /// size.
   static constexpr int64_t kLeastIterations = int64_t(1) << 20;
 
   /// `sizes`: the candidates, of which the first is the default. `found` is
@@ -75,7 +76,7 @@ private:
   bool isOver = false;
 };
 
-/// The trials of a function, by number of iterations.
+/// The timing trials of a device function, by number of iterations.
 class BlockTrials {
 public:
   /// `key` identifies the function and the device in `kept`; empty if results
@@ -84,8 +85,8 @@ public:
               std::string key = "")
       : sizes(std::move(sizes)), kept(std::move(kept)), key(std::move(key)) {}
 
-  /// The trial for launches with this number of iterations, rounded up to a
-  /// power of two.
+  /// Returns the trial for launches with this number of iterations, rounded up
+  /// to a power of two.
   BlockTrial &of(int64_t iterations);
 
 private:

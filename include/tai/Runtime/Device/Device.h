@@ -30,13 +30,13 @@ using DevicePtr = uint64_t;
 
 enum class DeviceKind { Cuda, Emulated };
 
-/// Loaded code. Created by a Device.
+/// Device code that has been loaded. Created by a Device.
 class DeviceModule {
 public:
   virtual ~DeviceModule() = default;
 };
 
-/// A kernel of a module. Lives as long as the module.
+/// A device function (a kernel) of a module. Lives as long as the module.
 class DeviceFunction {
 public:
   virtual ~DeviceFunction() = default;
@@ -50,12 +50,13 @@ struct LaunchShape {
   /// A cooperative launch: all blocks must be resident, because the function
   /// has grid barriers.
   bool cooperative = false;
-  /// Blocks in a thread block cluster; 0 for a launch without clusters.
+  /// The number of thread blocks in a thread block cluster; 0 for a launch
+  /// without clusters.
   unsigned cluster = 0;
   /// True for a programmatic dependent launch: the function itself waits for
   /// the end of the launch before it.
   bool overlaps = false;
-  /// Whether the function also runs correctly with fewer than `threads` threads
+  /// True if the function also runs correctly with fewer than `threads` threads
   /// in a block, where the device has no room for all of them.
   bool canShrink = false;
 };
@@ -64,13 +65,16 @@ struct DeviceLimits {
   unsigned multiprocessors = 1;
   unsigned threadsPerBlock = 1;
   int64_t memoryBytes = 0;
-  /// Resident threads of a multiprocessor; 0 if not known.
+  /// The number of threads that can be resident on a multiprocessor; 0 if not
+  /// known.
   unsigned threadsPerMultiprocessor = 0;
   /// Whether the device can capture queued work as a graph.
   bool hasGraphs = false;
-  /// Cooperative launches are supported.
+  /// True if cooperative launches, whose functions have grid barriers, are
+  /// supported.
   bool hasGridBarriers = false;
-  /// The maximum of blocks in a cluster; 1 if clusters are not supported.
+  /// The most thread blocks that a cluster can have; 1 if clusters are not
+  /// supported.
   unsigned mostClusterBlocks = 1;
   /// The granularity, in bytes, in which reserved memory is committed; 0 if
   /// `reserve` is not supported.
@@ -79,7 +83,8 @@ struct DeviceLimits {
   bool hasOverlaps = false;
 };
 
-/// Captured work. Created by a Device.
+/// Work captured from the device's queue, which can be run again as a whole.
+/// Created by a Device.
 class DeviceGraph {
 public:
   virtual ~DeviceGraph() = default;
@@ -91,7 +96,7 @@ public:
   virtual ~DeviceEvent() = default;
 };
 
-/// The resources that a device function needs. Negative where not known.
+/// The resources that a device function needs. Negative numbers are not known.
 struct DeviceFunctionFacts {
   int registers = -1;
   /// Bytes of shared memory for a block, of local memory (spills) for a thread,
@@ -158,7 +163,7 @@ struct DeviceFill {
   DeviceRows rows;
   uint64_t pattern;
   int patternBytes;
-  /// The region was merged from adjacent fills, possibly of separate
+  /// True if the region was merged from adjacent fills, possibly of separate
   /// allocations: a kernel may write across allocations, but a driver call may
   /// not.
   bool isJoined = false;
@@ -169,10 +174,11 @@ public:
   virtual ~Device() = default;
 
   virtual DeviceKind kind() const = 0;
-  /// For display: "NVIDIA H200", "emulated".
+  /// The name of the device for display: "NVIDIA H200", "emulated".
   virtual std::string name() const = 0;
   virtual DeviceLimits limits() const = 0;
-  /// The target of compilation: "sm_90"; the CPU for an emulation.
+  /// The name of the target for which code is compiled: "sm_90"; the CPU for an
+  /// emulation.
   virtual std::string target() const = 0;
 
   //===--------------------------------------------------------------------===//
@@ -181,13 +187,15 @@ public:
   //===--------------------------------------------------------------------===//
 
   virtual Status allocate(int64_t bytes, DevicePtr &memory) = 0;
-  /// Reserves zero-initialised memory, possibly more than the device has: it is
-  /// committed in pieces when first touched. Not included in allocatedBytes().
-  /// See DeviceLimits::reservedPieceBytes.
+  /// Reserves zero-initialised memory, possibly more than the device has,
+  /// because memory is committed in pieces when first touched. Not included in
+  /// allocatedBytes(). See DeviceLimits::reservedPieceBytes.
   virtual Status reserve(int64_t bytes, DevicePtr &memory);
-  /// Waits, if necessary, for queued work that uses the memory.
+  /// Frees device memory. Waits, if necessary, for queued work that uses the
+  /// memory.
   virtual void free(DevicePtr memory) = 0;
-  /// Bytes allocated through this object, and bytes still free on the device.
+  /// The bytes allocated through this object, and the bytes still free on the
+  /// device.
   virtual int64_t allocatedBytes() const = 0;
   virtual int64_t freeBytes() const = 0;
 
@@ -208,7 +216,8 @@ public:
   /// the size of the pattern.
   virtual Status fillRows(const DeviceRows &to, const void *pattern,
                           int patternBytes) = 0;
-  /// Runs `fills` in any order: they must be disjoint, or write the same bytes.
+  /// Runs `fills` in any order: the caller ensures that they are disjoint, or
+  /// write the same bytes.
   virtual Status fillAll(const std::vector<DeviceFill> &fills);
   /// Whether device code can access the memory at `address` directly.
   virtual bool isDeviceMemory(const void *address) const = 0;
@@ -224,7 +233,7 @@ public:
                       std::unique_ptr<DeviceModule> &module) = 0;
   virtual Status find(DeviceModule &module, const std::string &name,
                       DeviceFunction *&function) = 0;
-  /// The maximum number of threads in a block of this function.
+  /// The maximum number of threads in a block of a device function.
   virtual unsigned mostThreads(const DeviceFunction &function) const = 0;
   /// The number of blocks of `threads` threads that can be resident on the
   /// device.
@@ -240,10 +249,10 @@ public:
   // Graphs
   //===--------------------------------------------------------------------===//
 
-  /// Starts to capture queued work instead of running it. If the work starts
-  /// with launches, the first `numChangeable` launches can be changed later.
-  /// With `overlaps`, the runtime's own kernels use programmatic dependent
-  /// launch where possible, like launches with LaunchShape::overlaps.
+  /// Starts to capture queued work as a graph instead of running it. If the
+  /// work starts with launches, the first `numChangeable` launches can be
+  /// changed later. With `overlaps`, the runtime's own kernels use programmatic
+  /// dependent launch where possible, like launches with LaunchShape::overlaps.
   virtual Status beginCapture(size_t numChangeable = 0, bool overlaps = false);
   /// Ends the capture. If `graph` is given and differs only in parameters, it
   /// is updated; otherwise it is replaced.
@@ -255,8 +264,8 @@ public:
   /// graph wait for that branch.
   virtual Status fillAside(const std::vector<DeviceFill> &fills);
   virtual Status joinAside();
-  /// Changes the parameters of a launch of the graph, from the next run on. The
-  /// function must be the captured one.
+  /// Changes the parameters of a captured launch, from the next run of the
+  /// graph on. The function must be the captured one.
   virtual Status change(DeviceGraph &graph, size_t number,
                         DeviceFunction &function, const LaunchShape &shape,
                         const uint64_t *slots, int count);
@@ -268,7 +277,7 @@ public:
   /// Records an event at the end of the queue: reuses `event` if it is not
   /// null.
   virtual Status record(std::unique_ptr<DeviceEvent> &event);
-  /// Waits until the device has reached the event.
+  /// Waits until the device's queue has reached the event.
   virtual Status wait(DeviceEvent &event);
   /// Nanoseconds between two events that the device has passed.
   virtual Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
@@ -278,20 +287,21 @@ public:
   // Queues of other libraries
   //===--------------------------------------------------------------------===//
 
-  /// waitForStream: later work here waits for the work now in the other queue;
-  /// letStreamWait: later work in the other queue waits for the work now here.
-  /// `stream` is a CUDA stream, or 0 for the default stream. For an emulated
-  /// device, `stream` is the address of a C function `void (int32_t)` that
-  /// models a stream: called with 0, the function runs its pending work; called
-  /// with 1, it is notified that all work queued here is done. A default stream
-  /// has no work.
+  /// waitForStream: work queued later on this device waits for the work now in
+  /// the other queue; letStreamWait: work queued later in the other queue waits
+  /// for the work now queued on this device. `stream` is a CUDA stream, or 0
+  /// for the default stream. For an emulated device, `stream` is the address of
+  /// a C function `void (int32_t)` that models a stream: called with 0, the
+  /// function runs its pending work; called with 1, it is notified that all
+  /// work queued on this device is done. A default stream has no work.
   virtual Status waitForStream(uint64_t stream);
   virtual Status letStreamWait(uint64_t stream);
 
   /// Waits for all queued work, and reports failures. If the wait is
   /// interrupted at a safepoint, kernels with safepoints are stopped as well.
   virtual Status synchronize() = 0;
-  /// Sets the address of the stop word: see TaiDeviceState::stop.
+  /// Sets the address of the word by which the host asks running kernels to
+  /// stop: see TaiDeviceState::stop.
   virtual void setStopWord(DevicePtr) {}
 };
 
@@ -315,7 +325,7 @@ std::unique_ptr<Device> openEmulatedDevice(ObjectLinker linker);
 } // namespace mlir::tai::runtime
 
 extern "C" {
-/// The position of the emulated thread that runs on this thread of the host.
+/// The position of the emulated device thread that runs on this host thread.
 int32_t tai_emu_thread_id(void);
 int32_t tai_emu_block_id(void);
 int32_t tai_emu_block_dim(void);

@@ -25,7 +25,7 @@ int64_t deviceHeapBytes();
 } // namespace mlir::tai::runtime
 
 extern "C" {
-/// The heap of the emulated device.
+/// Allocate and free memory of the emulated device's heap.
 void *tai_emu_allocate(uint64_t bytes);
 void tai_emu_free(void *memory);
 }

@@ -4,11 +4,13 @@
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
+//
 // Decodes on the host the state that code on a device has written
 // (TaiDeviceState). Usage: copy a fresh state to the device and run kernels;
 // wait for the device, copy back the state and then deviceOutputBytes() of
 // output; decode both. If there was a report, copy a fresh state to the device
 // again.
+//
 //===----------------------------------------------------------------------===//
 
 #ifndef TAI_RUNTIME_DEVICE_DEVICEREPORT_H
@@ -31,7 +33,7 @@ inline bool hasDeviceReport(const TaiDeviceState &state) {
   return state.failed || state.outputUsed || state.lostLines || state.stopped;
 }
 
-/// The number of bytes of records that follow the state.
+/// The number of bytes of records that follow the state of a device.
 uint64_t deviceOutputBytes(const TaiDeviceState &state);
 
 struct DeviceReport {
@@ -39,7 +41,7 @@ struct DeviceReport {
   Status failure;
   /// The lines that kernels have printed, in order, without newlines.
   std::vector<std::string> lines;
-  /// The number of lines dropped because the buffer was full.
+  /// The number of printed lines that were dropped because the buffer was full.
   uint64_t lostLines = 0;
   /// The number of the host thread that asked a kernel to stop, or 0.
   uint32_t stoppedBy = 0;

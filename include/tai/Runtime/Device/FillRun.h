@@ -18,28 +18,29 @@
 
 namespace mlir::tai::runtime {
 
-/// Repeats the pattern of a fill to eight bytes.
+/// Repeats the pattern of a fill until it has eight bytes.
 uint64_t repeatPattern(const void *pattern, int patternBytes);
 
 /// Fills of this size or more are not merged: limited by memory bandwidth, each
 /// takes more than ten microseconds on an H200 anyway.
 int64_t largeFillBytes();
 
-/// Whether the rows are contiguous.
+/// True if strided rows of memory are contiguous.
 bool isDense(const DeviceRows &rows);
 
-/// Whether all bytes of the pattern are the same.
+/// True if all bytes of a fill pattern are the same.
 bool isUniform(uint64_t pattern);
 
-/// Whether the two fills commute.
+/// True if two fills may run in either order.
 bool canChangePlaces(const DeviceFill &a, const DeviceFill &b);
 
-/// Whether `later` overwrites all of `earlier`.
+/// True if the fill `later` overwrites all bytes of the fill `earlier`.
 bool isFilledAgain(const DeviceFill &earlier, const DeviceFill &later);
 
 class FillRun {
 public:
-  /// Adds a fill. False if it must run after the others.
+  /// Adds a fill to the run of fills that are queued together. False if the
+  /// fill must run after them.
   bool add(const DeviceFill &fill);
   const std::vector<DeviceFill> &get() const { return fills; }
   void clear() { fills.clear(); }

@@ -28,7 +28,7 @@ public:
   ~ExportedBuffer();
   ExportedBuffer(const ExportedBuffer &) = delete;
   ExportedBuffer &operator=(const ExportedBuffer &) = delete;
-  /// Whether any exported buffer exists, in any runtime.
+  /// True if any exported buffer exists, in any runtime of the process.
   static bool areAny() { return count.load(std::memory_order_relaxed) > 0; }
   /// Exports the address of a field: on the device, if the runtime has one.
   /// Until the buffer is destroyed, reads on the host assume that others may
@@ -37,7 +37,7 @@ public:
   /// not owe zeros (see Gradients.h).
   static Status make(Field &field, DeviceHost &devices,
                      ExportedField &exported);
-  /// Whether `field` is exported; if so, sets `begin` and `end` to the range of
+  /// True if `field` is exported; then sets `begin` and `end` to the range of
   /// addresses of its elements.
   static bool findBytes(const Field &field, uint64_t &begin, uint64_t &end);
 

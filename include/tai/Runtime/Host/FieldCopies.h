@@ -26,17 +26,17 @@ public:
   FieldCopies(Workers &workers, DeviceHost &devices)
       : workers(workers), devices(devices) {}
 
-  /// Copies from a field to an array of its scalar type, of shape (shape...,
-  /// element shape...).
+  /// Copies all elements of a field to an array of its scalar type, of shape
+  /// (shape..., element shape...).
   Status copyOut(const Field &field, void *array) const;
-  /// Bytes that a copy moves between two safepoints: they take a few
-  /// milliseconds, even if the pages of the memory are new.
+  /// The number of bytes that a copy moves between two safepoints, which takes
+  /// a few milliseconds, even if the pages of the memory are new.
   static constexpr int64_t bytesPerSafepoint = 4 << 20;
-  /// Whether a request of the host to interrupt stops a copy in the middle, or
-  /// has to wait until the copy is complete. In both cases the copy passes
-  /// safepoints.
+  /// Tells whether a request of the host to interrupt stops a copy in the
+  /// middle, or has to wait until the copy is complete. In both cases the copy
+  /// passes safepoints.
   enum class Interrupts { Stop, Wait };
-  /// Copies from an array to a field; of a sparse field, to active cells only.
+  /// Copies an array to a field; for a sparse field, to active cells only.
   /// False if the copy was interrupted: the field then holds a part of the
   /// array.
   bool copyIn(Field &field, const void *array,
@@ -51,9 +51,9 @@ public:
   }
 
 private:
-  /// Calls run(begin, end) for parts of [0, count), with safepoints in between,
-  /// on worker threads if `bytes` is large enough. False if the host has
-  /// interrupted the work.
+  /// Calls run(begin, end) for ranges that make up [0, count), with safepoints
+  /// in between, on worker threads if `bytes` is large enough. False if the
+  /// host has interrupted the work.
   bool runParts(int64_t count, int64_t bytes, Interrupts interrupts,
                 const std::function<void(int64_t, int64_t)> &run) const;
   template <typename Data, typename Move>
@@ -71,8 +71,8 @@ private:
   DeviceHost &devices;
 };
 
-/// The safepoints of work that copies many small pieces, and that a handler
-/// must not begin again while it has interrupted the work.
+/// Lets work that copies many small pieces pass safepoints, and refuses to
+/// begin such work again from a handler that has interrupted it.
 class CopySafepoints {
 public:
   /// Passes the first safepoint, which starts the clock, if `bytes` bytes take

@@ -30,8 +30,8 @@ public:
 
   /// Sets all adjoint fields to zero that may be non-zero; in forward mode,
   /// also the tangents of adjoint fields. With `tape`, skips fields that
-  /// another thread has written and the tape does not use. Fails if the host
-  /// interrupts the work.
+  /// another thread has written and that the tape does not use. Fails if the
+  /// host interrupts the work.
   Status clear(const Recorder *tape = nullptr);
   /// Sets to zero the tangent fields that no other thread wrote last.
   void clearTangents();
@@ -55,7 +55,8 @@ public:
   void forget(const Tree &tree);
 
 private:
-  /// Must be called after each change of `owing`: updates the flag `owesAny`.
+  /// Updates the flag `owesAny`. Must be called after each change of `owing`,
+  /// the list of fields with deferred zeros.
   void update();
 
   const TreeStore &store;
@@ -63,11 +64,11 @@ private:
   const FieldCopies &copies;
   const SkipSet &skips;
   SkipCounters &counters;
-  /// Guards `owing`. Never held while zeros are stored, because storing may
-  /// wait for a device.
+  /// Guards `owing`, the list of fields with deferred zeros. Never held while
+  /// zeros are stored, because storing may wait for a device.
   std::mutex mutex;
-  /// Adjoint fields that may owe zeros, guarded by `mutex`; and whether there
-  /// are any such fields.
+  /// Adjoint fields that may owe zeros, guarded by `mutex`; and a flag that
+  /// tells whether there are any such fields.
   std::vector<FieldPtr> owing;
   std::atomic<bool> owesAny{false};
 };

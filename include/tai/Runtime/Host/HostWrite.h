@@ -22,14 +22,14 @@ struct HostWrite {
 
   What what;
   Field *field;
-  /// The value to write: one scalar of the field's type or, for an array, all
-  /// scalars.
+  /// The value that the host writes: one scalar of the field's type or, for an
+  /// array, all scalars.
   const void *bytes;
   /// For `What::Element`.
   const int64_t *index = nullptr;
   int64_t component = 0;
 
-  /// Whether the write overwrites the whole field.
+  /// True if the write overwrites the whole field.
   bool replacesAll() const {
     return what != What::Element ||
            field->numElements() * field->numComponents() == 1;

@@ -37,7 +37,7 @@ public:
   /// Sets the observer that is told of each write of the host; null removes it.
   void setWatcher(OverwriteWatcher *follows) { watcher = follows; }
 
-  /// Writes the whole field, from a row-major array of its scalar type.
+  /// Writes all elements of a field, from a row-major array of its scalar type.
   Status copyIn(Field &field, const void *array);
   Status fillF64(Field &field, double value);
   Status fillI64(Field &field, int64_t value);
@@ -52,19 +52,20 @@ public:
   Status writeElements(Field &field, const int64_t *indices, int64_t count,
                        const void *values);
   /// Activates or deactivates a cell of a sparse level; `cell` -1 deactivates
-  /// all. Recorded by a tape, and repeated on replay.
+  /// all cells of the level. The change is recorded by a tape, and repeated on
+  /// replay.
   Status setActive(const TreePtr &tree, int64_t level, int64_t cell,
                    bool isActive);
   /// Notes that another library has written, or will write, to an exported
   /// field. Fails while a tape records, because it cannot record such writes.
   Status noteOutside(Field &field);
 
-  /// `change` performs a write of any of the kinds above. A tape calls its two
-  /// steps, which notify no recorder: `activateFor` activates the cells of
-  /// sparse levels, and `perform` writes.
+  /// Performs a write of the host, of any of the kinds above. A tape calls the
+  /// two steps of a write, which notify no recorder: `activateFor` activates
+  /// the cells of sparse levels, and `perform` stores the values.
   Status change(const HostWrite &write);
   Status activateFor(const HostWrite &write);
-  /// Returns false if the host interrupted the write.
+  /// Stores the values of a write. Returns false if the host interrupted it.
   bool
   perform(const HostWrite &write,
           FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait);

@@ -21,11 +21,11 @@ class OtherLaunches {
 public:
   virtual ~OtherLaunches() = default;
 
-  /// Whether any thread other than the calling thread has launched kernels.
+  /// True if any thread other than the calling thread has launched kernels.
   virtual bool areAny() const = 0;
-  /// A barrier to call after the state of holds has changed: launches of other
-  /// threads that begin later see the change, and visitChanges sees the
-  /// launches that began earlier.
+  /// Makes a changed state of holds (the fields that tapes use) visible to
+  /// other threads: launches that begin later see the change, and visitChanges
+  /// sees the launches that began earlier.
   virtual void publishState() const = 0;
   /// Calls `visit` with each field that a running kernel of another thread
   /// changes, and with the kernel's name, except for launches recorded by that

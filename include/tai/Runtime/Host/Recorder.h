@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A tape as seen by the code that launches kernels and changes fields.
+// The interface to a tape for code that launches kernels and changes fields.
 //
 //===----------------------------------------------------------------------===//
 
@@ -29,13 +29,14 @@ public:
   /// Launches a kernel and records it.
   virtual Status launch(Launch &launch, Kernel &kernel, const uint64_t *args,
                         uint64_t *results, uint64_t number) = 0;
-  /// Whether recording is suspended.
+  /// True if the tape does not record launches at present.
   virtual bool isSuspended() const = 0;
   /// While the reverse sweep runs a host function backwards: finds the cells
   /// that the loops of `kernel` visited when that function launched it.
   virtual Status findLoops(Kernel &kernel, LoopLists &lists, bool &found) = 0;
 
-  /// Call before the host activates cells of the tree.
+  /// Notes the activity of the tree's cells. Must be called before the host
+  /// activates cells of the tree.
   virtual void watch(const TreePtr &tree) = 0;
   /// Performs a write of the host to a field, and records it.
   virtual Status write(const HostWrite &write) = 0;
@@ -44,9 +45,9 @@ public:
   virtual Status changeActivity(const TreePtr &tree,
                                 std::function<Status()> change) = 0;
 
-  /// Whether computing the gradient needs the present values of `field`.
+  /// True if computing the gradient needs the present values of `field`.
   virtual bool needsValues(const Field &field) const = 0;
-  /// Whether this tape uses `field`, that is, holds it now or has held it.
+  /// True if this tape uses `field`, that is, holds it now or has held it.
   virtual bool uses(const FieldPtr &field) const = 0;
 };
 

@@ -30,7 +30,7 @@ public:
   Recordings(const Recordings &) = delete;
   Recordings &operator=(const Recordings &) = delete;
 
-  /// Sets the registry of running launches; null means that nothing runs.
+  /// Sets the registry of running launches; null means that no launch runs.
   void setLaunches(OtherLaunches *made) { launches = made; }
 
   //===--------------------------------------------------------------------===//
@@ -41,9 +41,9 @@ public:
   Recorder *current() const {
     return __builtin_expect(isAny(), false) ? find() : nullptr;
   }
-  /// isAny: whether any thread records. areTogether: whether several threads
-  /// have recorded at the same time since the last moment at which no thread
-  /// recorded.
+  /// isAny: true if any thread records a tape. areTogether: true if several
+  /// threads have recorded at the same time since the last moment at which no
+  /// thread recorded.
   bool isAny() const {
     return numRecording.load(std::memory_order_relaxed) != 0;
   }
@@ -51,13 +51,13 @@ public:
   void begin(Recorder &tape);
   void end(Recorder &tape);
 
-  /// Registers a tape, whether it records or not.
+  /// Registers a tape of any thread, whether it records at present or not.
   void add(Recorder &tape);
   void remove(Recorder &tape);
   bool areThereTapes() const {
     return numTapes.load(std::memory_order_relaxed) != 0;
   }
-  /// Whether the gradient of any registered tape needs the present values of
+  /// True if the gradient of any registered tape needs the present values of
   /// `field`.
   bool needsValues(const Field &field) const;
   /// Returns a new number, unique among the stamps of tapes and of their plans.
@@ -73,7 +73,7 @@ public:
                ? sweeper
                : nullptr;
   }
-  /// RAII scope of a call of a host function by a sweep.
+  /// The scope of a call of a host function by a reverse sweep.
   class ReverseFunction {
   public:
     ReverseFunction(Recordings &recordings, Recorder &tape);
@@ -114,14 +114,15 @@ public:
   /// the field.
   Status hold(const Recorder &tape, Field &field, HoldKind kind);
   void release(const Recorder &tape, Field &field);
-  /// Fails if an access of this kind by the calling thread conflicts with a
-  /// hold of another thread's tape.
+  /// Fails if an access of this kind to `field` by the calling thread conflicts
+  /// with a hold of another thread's tape.
   Status check(const Field &field, HoldKind kind) const;
   /// Fails if a change of the activity of a tree's cells conflicts with a hold
   /// of another thread's tape.
   Status checkActivity(const Tree &tree) const;
 
-  /// The last plan that a tape of any thread has made, or null.
+  /// The last plan for a reverse sweep that a tape of any thread has made, or
+  /// null.
   std::shared_ptr<const KnownPlan> knownPlan() const;
   void setKnownPlan(std::shared_ptr<const KnownPlan> plan);
 
@@ -152,8 +153,8 @@ private:
   /// Guards `recordings`, and the holds of all fields.
   mutable std::mutex mutex;
   std::atomic<int> numRecording{0};
-  /// A number that changes whenever `recordings` changes; no two runtimes ever
-  /// use the same number.
+  /// A number that changes whenever a thread begins or ends to record; no two
+  /// runtimes ever use the same number.
   std::atomic<uint64_t> version{0};
   std::atomic<bool> together{false};
   std::atomic<int> numHolding{0};

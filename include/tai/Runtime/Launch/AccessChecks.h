@@ -68,8 +68,8 @@ public:
   AccessChecks(Runtime &runtime, int64_t limit, bool racesOnly)
       : runtime(runtime), limit(limit), racesOnly(racesOnly) {}
 
-  /// Launches the instrumented variant of `kernel` instead of `kernel` itself,
-  /// and reads the access log of the launch.
+  /// Launches the variant of `kernel` that logs its accesses, instead of
+  /// `kernel` itself, and reads the access log of the launch.
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number);
 
@@ -79,7 +79,8 @@ public:
   int64_t numViolations() const { return total; }
 
 private:
-  /// The range of access numbers that a launch uses; it starts at `base`.
+  /// The range of access numbers that a checked launch uses; it starts at
+  /// `base`.
   struct Range {
     int64_t base;
     const CheckedKernel *kernel;

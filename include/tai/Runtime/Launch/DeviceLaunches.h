@@ -28,10 +28,11 @@ public:
   DeviceLaunches(DeviceHost &devices, const Options &options)
       : devices(devices), options(options) {}
 
-  /// Sets the storage for block sizes, for kernels loaded afterwards.
+  /// Sets the storage for chosen block sizes, for kernels loaded afterwards.
   void keepBlockSizes(KeptChoices kept) { blockSizes = std::move(kept); }
 
-  /// enter must be called before the code of a kernel runs, leave after it.
+  /// `enter` must be called before the code of a kernel runs, and `leave` after
+  /// it.
   Status enter(Launch &launch, Kernel &kernel);
   void leave(Launch &launch);
 

@@ -40,10 +40,10 @@ public:
   /// Numbers of cuts, ascending.
   using CutSet = std::vector<unsigned>;
 
-  /// `fields`: all fields of the runtime.
+  /// Creates a tracker of derivatives. `fields`: all fields of the runtime.
   FlowTracker(Mode mode, const std::vector<FieldPtr> &fields);
 
-  /// In forward mode: marks the field as having a tangent.
+  /// Marks a field as having a tangent, in forward mode.
   void addSource(const Field &field);
   /// Notes that the memory at `address`, which a later launch gets, is a copy
   /// of `array`.
@@ -52,14 +52,14 @@ public:
   }
 
   void launch(Kernel &kernel, const uint64_t *args);
-  /// The host has overwritten the field or array.
+  /// Notes that the host has overwritten the field or array.
   void overwrite(const Field &field);
   void overwrite(const ArrayRange &array);
 
-  /// The cuts in the derivative of the field's values.
+  /// The places at which derivatives of the field's values were cut off.
   const CutSet &cutsOf(const Field &field) const;
-  /// The cuts in the derivatives of arrays with gradients, for whose adjoints
-  /// `isWanted` holds.
+  /// The places at which derivatives of arrays were cut off, for arrays with
+  /// gradients for whose adjoints `isWanted` holds.
   using Wants = std::function<bool(uint64_t adjoint, uint64_t bytes)>;
   CutSet cutsOfArrays(const Wants &isWanted) const;
   const CutSet &cutsOfResults() const { return fromResults; }
@@ -71,7 +71,7 @@ public:
 
 private:
   struct State {
-    /// For a field with a dual: whether the field may have a tangent.
+    /// For a field with a dual: true if the field may have a tangent.
     bool isActive = false;
     CutSet cuts;
 
@@ -108,10 +108,11 @@ private:
   bool dependsOnArguments(Kernel &kernel) const;
 
   Mode mode;
-  /// Fields that are adjoints or duals of other fields.
+  /// Fields that are adjoints or duals of other fields, and are not tracked
+  /// themselves.
   std::unordered_set<const Field *> companions;
   std::unordered_map<const Field *, State> ofFields;
-  /// The states of arrays, by the first address of each array.
+  /// The tracked states of arrays, by the first address of each array.
   std::multimap<uint64_t, ArrayState> ofArrays;
   uint64_t longest = 0;
   std::unordered_map<uint64_t, ArrayRange> copies;
@@ -119,7 +120,7 @@ private:
   std::map<std::pair<std::string, std::string>, unsigned> cutNumbers;
   CutSet fromResults;
   std::unordered_map<const Kernel *, Known> kernels;
-  /// Incremented with each change of any state.
+  /// A number that grows with each change of any tracked state.
   uint64_t version = 1;
 };
 

@@ -38,8 +38,9 @@ using KernelPtr = std::shared_ptr<Kernel>;
 struct Access {
   FieldPtr field;
   AccessKind kind;
-  /// The fixed indices, in the order of their dimensions: launches with
-  /// different values of a fixed index access different elements.
+  /// The indices that are the same in all iterations of a launch, in the order
+  /// of their dimensions: launches with different values of such an index
+  /// access different elements.
   std::vector<FixedIndex> fixed = {};
   /// For a write: boxes of elements that the launch certainly stores, whatever
   /// values fields hold. Null if they are unknown or do not form boxes.
@@ -68,12 +69,12 @@ struct ZeroAdjoints {
 /// with neither, a scalar argument or a result.
 struct FlowPlace {
   FieldPtr field = nullptr;
-  /// If the place is an array argument: the slot of its pointer, its rank, and
-  /// the size of an element in bytes.
+  /// If the place is an array argument: the argument slot of its pointer, its
+  /// rank, and the size of an element in bytes.
   int64_t slot = -1, rank = 0, elementBytes = 0;
-  /// Name of the place: of the field or of the argument.
+  /// The name of the field or argument at this end of the data flow.
   std::string name = {};
-  /// hasGradient: whether the kernel is differentiated with respect to this
+  /// hasGradient: true if the kernel is differentiated with respect to this
   /// argument. adjointSlot: for an array, the slot of the pointer to its
   /// adjoint.
   bool hasGradient = false;
@@ -92,7 +93,7 @@ struct ValueFlow {
   size_t from, to;
   /// Source location of the store, as "file:line:column".
   std::string place;
-  /// Whether the kernel itself possibly reads the stored value afterwards.
+  /// True if the kernel itself possibly reads the stored value afterwards.
   bool isReadAgain = false;
 };
 
@@ -120,20 +121,21 @@ struct AdjointPlan {
   std::vector<Access> reads;
   /// Fields of which the adjoint reads the contents from before the launch.
   std::vector<FieldPtr> before;
-  /// The adjoint re-executes the primal, which changes the fields that it
-  /// reads.
+  /// True if the adjoint re-executes the primal kernel, which changes the
+  /// fields that the adjoint reads.
   bool reexecutes = false;
   /// If not empty: the kernels into which this kernel was split. The tape
   /// records them, in this order, instead of this kernel. They take the
   /// arguments of this kernel; one of them may return its results.
   std::vector<KernelPtr> parts;
-  /// This plan describes the zeroing variant of the adjoint, and the sweep must
-  /// launch that variant.
+  /// True if this plan describes the zeroing variant of the adjoint, and the
+  /// sweep must launch that variant.
   bool zeroes = false;
-  /// The plan is preliminary, and must not be cached: it may change when
-  /// further adjoint fields are declared.
+  /// True if the plan is preliminary, and must not be cached: it may change
+  /// when further adjoint fields are declared.
   bool provisional = false;
-  /// Fields of whose sparse levels the adjoint reads the activity.
+  /// Fields for which the adjoint reads which cells of the sparse levels above
+  /// them are active.
   std::vector<FieldPtr> activity = {};
   /// The adjoint's loops over sparse fields, which can be skipped in cells
   /// where their sources are zero.
@@ -143,8 +145,8 @@ struct AdjointPlan {
   /// variant is valid if nothing has changed the accessed elements since the
   /// launch.
   std::optional<std::vector<Access>> stored = std::nullopt;
-  /// Array arguments whose elements the adjoint reads, by the slots of their
-  /// pointers.
+  /// Array arguments whose elements the adjoint reads, by the numbers of the
+  /// argument slots that hold their pointers.
   std::vector<int64_t> arrays = {};
 };
 
@@ -153,12 +155,12 @@ struct AdjointPlan {
 /// the arguments: pointers and extents, as for arrays.
 struct CallerAdjoints {
   int64_t slots = 0;
-  /// The adjoint kernel adds to the adjoint of an argument or array.
+  /// True if the adjoint kernel adds to the adjoint of an argument or array.
   bool hasTargets = false;
-  /// Whether the adjoint kernel reads the adjoint of an array argument.
+  /// True if the adjoint kernel reads the adjoint of an array argument.
   bool hasArrays = false;
-  /// The adjoint of a result: the slot of its pointer, counted from the first
-  /// slot that holds an adjoint, and its size.
+  /// The adjoint of a result of the kernel: the slot of its pointer, counted
+  /// from the first slot that holds an adjoint, and its size.
   struct Result {
     int64_t slot;
     int64_t bytes;
@@ -166,20 +168,20 @@ struct CallerAdjoints {
   std::vector<Result> results;
 
   bool hasSources() const { return hasArrays || !results.empty(); }
-  /// True if all adjoints of the caller that the adjoint kernel reads are known
-  /// to be zero. `callerSlots`: the slots of a launch that hold adjoints.
+  /// True if all those adjoints of the caller that the adjoint kernel reads are
+  /// known to be zero. `callerSlots`: the slots of a launch that hold adjoints.
   bool areZero(const uint64_t *callerSlots) const;
 };
 
-/// An array argument: the slot of its pointer, followed by the slots of its
-/// extents, and the bytes of an element.
+/// An array argument: the argument slot of its pointer, which the slots of its
+/// extents follow, and the bytes of an element.
 struct ArrayArgument {
   int64_t slot, rank, elementBytes;
 };
 
 struct KernelInfo {
   std::string name;
-  /// Source location, as "file:line:column", or empty.
+  /// The source location of the kernel, as "file:line:column", or empty.
   std::string place = {};
   /// The numbers of 8-byte slots that the arguments and the results take; see
   /// Abi.h.
@@ -187,22 +189,24 @@ struct KernelInfo {
   int64_t resultSlots = 0;
   std::vector<ArrayArgument> arrays = {};
   CallerAdjoints callerAdjoints;
-  /// The trees of the module, in the order of its `tai.tree` ops.
+  /// The trees that the kernel's module declares, in the order of its
+  /// `tai.tree` ops.
   std::vector<TreePtr> trees;
   /// The accesses of the kernel. The summary must be complete, because the tape
   /// ignores fields that are not listed.
   std::vector<Access> summary;
   /// The kernel's code for the CPU; null if the provider compiles it.
   TaiKernelFn function = nullptr;
-  /// Makes the parts of the kernel (function, adjoint, ...) that are null here;
-  /// may itself be null if no part is missing.
+  /// Makes, on demand, those parts of the kernel (function, adjoint, ...) that
+  /// are null in this description; may itself be null if no part is missing.
   std::shared_ptr<KernelProvider> provider;
   /// The adjoint kernel; null if the provider makes it.
   KernelPtr adjoint;
   /// True if `adjoint` zeroes the adjoints of the elements that the kernel
   /// stores.
   bool zeroesAdjoints = false;
-  /// False if the adjoint would do nothing; the tape then skips the kernel.
+  /// False if the adjoint kernel would do nothing; the tape then skips the
+  /// kernel.
   bool differentiable = true;
   /// For a kernel that only loops over active cells: the levels of its loops.
   std::vector<LoopLevel> loopLevels;
@@ -225,9 +229,9 @@ struct alignas(64) PreparedLaunch {
   const DeviceCode *code = nullptr;
   Mirror *const *mirrors = nullptr, *const *mirrorsEnd = nullptr;
   Mirror *const *changed = nullptr, *const *changedEnd = nullptr;
-  /// The range of adjoint fields that the launch changes.
+  /// The adjoint fields that the launch changes, as a range of pointers.
   Field *const *adjoints = nullptr, *const *adjointsEnd = nullptr;
-  /// Number of the kernel's last launch: an adjoint that the user launches
+  /// The number of the kernel's last launch: an adjoint that the user launches
   /// later uses the same random numbers.
   std::atomic<uint64_t> lastLaunch{0};
 };
@@ -238,16 +242,17 @@ public:
 
   const std::string &name() const { return info.name; }
   const std::string &place() const { return info.place; }
-  /// Bytes that a launch reads and writes, assuming that the launch accesses
-  /// each element of its fields (or of the slab of a fixed index) once.
-  /// Negative if the summary is empty, or a field is sparse.
+  /// The number of bytes that a launch reads and writes, assuming that the
+  /// launch accesses each element of its fields (or, with a fixed index, each
+  /// element at that index) once. Negative if the summary is empty, or a field
+  /// is sparse.
   int64_t touchedBytes() const;
-  /// Whether the kernel accesses the tree. Known only after the kernel has been
+  /// True if the kernel accesses the tree. Known only after the kernel has been
   /// resolved.
   bool uses(const Tree &tree) const;
   int64_t argSlots() const { return info.argSlots; }
-  /// Number of slots of a launch that may be differentiated: arguments, then
-  /// adjoints of arguments and results.
+  /// The number of argument slots of a launch that may be differentiated:
+  /// arguments, then adjoints of arguments and results.
   int64_t tapeSlots() const {
     return info.argSlots + info.callerAdjoints.slots;
   }
@@ -270,33 +275,35 @@ public:
   /// Requires that plan().stored has a value. Thread-safe.
   Status resolveStoredAdjoint(Kernel *&adjoint, bool zeroes);
 
-  /// The memory accesses of the adjoint. Thread-safe.
+  /// The plan of the adjoint: the memory that it reads and changes.
+  /// Thread-safe.
   const AdjointPlan &plan();
-  /// The data flow from loaded to stored values. Thread-safe.
+  /// The data flow from values that the kernel loads to values that it stores.
+  /// Thread-safe.
   const KernelFlows &flows();
   /// True if the adjoint has been planned and the plan splits the kernel into
   /// several kernels.
   bool hasParts() const { return adjointPlan && !adjointPlan->parts.empty(); }
 
-  /// Whether the adjoint has a variant that zeroes the adjoints of the elements
+  /// True if the adjoint has a variant that zeroes the adjoints of the elements
   /// that this kernel stores.
   bool hasZeroingAdjoint() const {
     return info.zeroesAdjoints ||
            (info.provider && info.provider->makesZeroingAdjoints());
   }
 
-  /// The variant that checks the access rules; null if there is nothing to
-  /// check.
+  /// Gives the variant of the kernel that checks the data access rules; null if
+  /// there is nothing to check.
   Status resolveChecked(CheckedKernel *&checked);
 
-  /// The variant for forward mode; the kernel itself if it has no tangents.
-  /// Thread-safe.
+  /// Gives the variant of the kernel for forward mode; the kernel itself if it
+  /// has no tangents. Thread-safe.
   Status resolveTangent(Kernel *&tangent);
 
-  /// Sets the kernel's trees. To be called before the kernel is launched, or
-  /// from its provider. If the kernel already has a tree of some name, a later
-  /// tree of this name does not replace it: the kernel was compiled for the
-  /// layout of the first tree.
+  /// Sets the kernel's trees. Must be called before the kernel is launched, or
+  /// by its provider. If the kernel already has a tree of some name, a later
+  /// tree of this name does not replace it, because the kernel was compiled for
+  /// the layout of the first tree.
   void setTrees(std::vector<TreePtr> trees);
   void setSummary(std::vector<Access> summary);
   void setLoopLevels(std::vector<LoopLevel> levels);
@@ -309,11 +316,13 @@ private:
 
   void noteBegin();
   void noteLoops(const LoopLists &loops);
-  /// The cells that the loops of the last launch visited. Fails if activity has
-  /// changed since in a way that the adjoint cannot handle.
+  /// Gives, for an adjoint launched by the user, the cells that the loops of
+  /// the kernel's last launch visited. Fails if activity has changed since then
+  /// in a way that the adjoint cannot handle.
   Status checkActivity(LoopLists &loops, bool &wasLaunched);
 
-  /// Fails for a handler that has interrupted the compilation of this kernel.
+  /// Fails in a signal handler that has interrupted the compilation of this
+  /// kernel.
   Status checkHandler() const { return Section::Entry(section).check(); }
   /// Fills the tables of fields and trees that launches use (the members
   /// below), for the storage's state `epoch`. Fails if a tree has been
@@ -328,23 +337,25 @@ private:
   PreparedLaunch prepared;
   KernelInfo info;
   std::atomic<TaiKernelFn> function{nullptr};
-  /// The resolver of an adjoint may resolve its primal. Entered during
-  /// compilation, which has safepoints.
+  /// The lock of a kernel's compilation. A section rather than a mutex, because
+  /// compilation has safepoints, and the resolver of an adjoint may resolve its
+  /// primal.
   mutable Section section;
   using Lock = Section::Entry;
-  /// A variant of the adjoint. There are four: plain and zeroing, each without
-  /// and with loading of stored outputs.
+  /// A variant of the adjoint kernel. There are four: plain and zeroing, each
+  /// without and with loading of stored outputs.
   struct AdjointForm {
     KernelPtr kernel;
     bool asked = false;
-    /// The adjoint, once it has been made: a sweep reads it without a lock.
+    /// The adjoint kernel, once it has been made: a sweep reads this pointer
+    /// without a lock.
     std::atomic<Kernel *> known{nullptr};
   };
   std::array<AdjointForm, 2> adjointForms, storedForms;
   std::shared_ptr<CheckedKernel> checked;
   std::unique_ptr<AdjointPlan> adjointPlan;
-  /// The plan before the current plan, kept because other threads may still
-  /// read it.
+  /// The plan of the adjoint before the current plan, kept because other
+  /// threads may still read it.
   std::unique_ptr<AdjointPlan> provisionalPlan;
   /// The error of the attempt to plan the adjoint: an adjoint without a plan is
   /// not launched.
@@ -362,7 +373,7 @@ private:
     return true;
   }
 
-  /// The code on the device, loaded when the kernel is first launched.
+  /// The kernel's code on the device, loaded when the kernel is first launched.
   std::shared_ptr<DeviceCode> deviceCode;
   std::vector<void *> bases;
   LoopTimes loopTimes;
@@ -372,18 +383,19 @@ private:
   /// The epoch of the storage for which the tables of bind() are valid; 0
   /// before the first bind().
   std::atomic<uint64_t> boundEpoch{0};
-  /// Whether the kernel accesses an adjoint field, which may owe zeros.
+  /// True if the kernel accesses an adjoint field, for which zeros may have to
+  /// be stored first.
   bool usesAdjoints = false;
   /// The adjoint fields that a launch of this kernel may change.
   std::vector<Field *> changedAdjoints;
-  /// Fields whose adjoints the adjoint kernel adds to: the fields that this
+  /// Fields to whose adjoints the adjoint kernel adds: the fields that this
   /// kernel reads.
   std::vector<Field *> adjointTargets;
   /// Fields whose adjoints the adjoint kernel reads: the fields that this
   /// kernel changes.
   std::vector<Field *> adjointSources;
-  /// The fields in `adjointSources` that the kernel overwrites rather than adds
-  /// to.
+  /// The fields that the kernel overwrites rather than adds to; a subset of
+  /// `adjointSources`.
   std::vector<Field *> overwritten;
   /// Sparse levels of the kernel's trees. For an adjoint that is launched by
   /// hand: the state of the levels when the last launch began, and the cells

@@ -27,12 +27,12 @@ struct AdjointPlan;
 struct CheckedKernel;
 struct KernelFlows;
 
-/// Selects a variant of an adjoint.
+/// Selects a variant of an adjoint kernel.
 struct AdjointVariant {
-  /// Whether the adjoint also zeroes the adjoints of the elements that the
+  /// True if the adjoint also zeroes the adjoints of the elements that the
   /// kernel stores.
   bool zeroes = false;
-  /// Whether the adjoint loads outputs that the kernel has stored, instead of
+  /// True if the adjoint loads outputs that the kernel has stored, instead of
   /// recomputing them.
   bool readsStored = false;
 };
@@ -50,11 +50,12 @@ public:
   /// default implementation fails or, for stored outputs, yields null.
   virtual Status makeAdjoint(Kernel &kernel, AdjointVariant variant,
                              KernelPtr &adjoint);
-  /// Whether makeAdjoint can make variants that zero adjoints of stored
+  /// True if makeAdjoint can make variants that zero the adjoints of stored
   /// elements.
   virtual bool makesZeroingAdjoints() const { return false; }
-  /// Plans the adjoint; called when the kernel is first recorded. By default,
-  /// the adjoint is assumed to read all that the kernel accesses.
+  /// Plans the adjoint of a kernel; called when the kernel is first recorded.
+  /// By default, the adjoint is assumed to read all memory that the kernel
+  /// accesses.
   virtual Status planAdjoint(Kernel &kernel, AdjointPlan &plan);
   /// Finds the data flow of floats through the kernel, from reads to stores.
   virtual KernelFlows findFlows(const Kernel &kernel);
@@ -62,10 +63,12 @@ public:
   /// Makes the variant of the kernel that checks the access rules at run time.
   /// `checked` has no fields if there is nothing to check.
   virtual Status makeChecked(CheckedKernel &checked);
-  /// The variant of the kernel for forward mode; null if it has no tangents.
+  /// Makes the variant of the kernel for forward mode; null if the kernel has
+  /// no tangents.
   virtual Status makeTangent(KernelPtr &tangent);
 
-  /// The error message for code that a device rejected with this reason.
+  /// Makes the error message for device code that a device rejected for the
+  /// given reason.
   virtual std::string explainRefusal(const std::string &reason) {
     return reason;
   }

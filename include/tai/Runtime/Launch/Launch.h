@@ -37,7 +37,8 @@ public:
   /// allocated again; allocate() does not count them as dirty then.
   /// Thread-safe.
   void markZero(const char *address, int64_t bytes);
-  /// Frees everything. One block of the total size is kept for the next launch.
+  /// Frees all allocated memory. One block of the total size is kept for the
+  /// next launch.
   void reset();
   bool used() const { return anyUsed; }
 
@@ -77,55 +78,57 @@ struct Launch : TaiFrame {
   void fail(Status status);
   /// Fails the launch with "out of memory", without allocating a status.
   void failWithoutMemory() noexcept;
-  /// Resets the object after an exception has ended its launch.
+  /// Resets the launch object after an exception has ended its launch.
   void recover() noexcept;
   bool hasFailed() const { return failed.load(std::memory_order_relaxed); }
-  /// A safepoint of the launching thread, or of a worker. False if the launch
-  /// must stop.
+  /// Passes a safepoint of the launching thread, or of a worker. False if the
+  /// launch must stop.
   bool passSafepoint() {
     return __builtin_expect(__atomic_load_n(&tick, __ATOMIC_RELAXED) ==
                                 safepoint::now(),
                             true) ||
            look();
   }
-  /// The slow path of passSafepoint, after a tick.
+  /// The slow path of a safepoint, taken after a tick of the clock.
   bool look();
   Status takeFailure();
-  /// The number of partitions of a loop. A loop is timed if its estimated cost
-  /// is too close to a threshold to decide this number.
+  /// Returns the number of partitions of a loop. A loop is timed if its
+  /// estimated cost is too close to a threshold to decide this number.
   int64_t partition(int64_t n, int64_t cost, bool reduces);
-  /// Memory that a failed launch may write to.
+  /// Returns scratch memory to which a failed launch may write, if its own
+  /// memory could not be allocated.
   void *sink(int64_t bytes);
 
   /// The cells that a loop over a sparse level visits; valid until the kernel
   /// returns. Fails the launch if it is an adjoint and the cells of its primal
   /// are not known.
   const std::vector<int64_t> &cellsFor(SparseNode &node);
-  /// The cells of cellsFor() together with the cells that it leaves out because
-  /// their incoming adjoints are zero.
+  /// Returns the cells of cellsFor() together with the cells that cellsFor()
+  /// leaves out because their incoming adjoints are zero.
   const std::vector<int64_t> &visitedCells(SparseNode &node);
-  /// The cells of visitedCells as a shared list; null after a failure.
+  /// Returns the cells of visitedCells as a shared list; null after a failure.
   ActiveListPtr visitedList(SparseNode &node);
-  /// For adjoints: the cells that the primal's loops over the level visited.
+  /// Returns, for adjoints, the active cells that the primal's loops over the
+  /// level visited.
   const LoopLists::Entry *findGiven(SparseNode &node);
-  /// The cells of cellsFor within `reach` of a cell whose incoming adjoints are
-  /// not all zero.
+  /// Returns those cells of cellsFor that are within `reach` of a cell whose
+  /// incoming adjoints are not all zero.
   const std::vector<int64_t> &gatheredCellsFor(SparseNode &node, int64_t reach);
 
   // Read by each launch.
   std::atomic<bool> failed{false};
-  /// Whether the launch is neither recorded nor part of a sweep: other threads
+  /// True if the launch is neither recorded nor part of a sweep: other threads
   /// then check only the fields that its kernel changes.
   std::atomic<bool> isUnrecorded{true};
-  /// The running kernel, or null, and the thread that launched it; see
-  /// RunningLaunches.cpp.
+  /// The kernel that this launch runs, or null, and the thread that launched
+  /// it; see RunningLaunches.cpp.
   std::atomic<const Kernel *> running{nullptr};
   std::atomic<const void *> thread{nullptr};
   bool isOfThisThread() const {
     return thread.load(std::memory_order_relaxed) == __builtin_thread_pointer();
   }
-  /// Marks the kernel as running. State of the runtime that was read before
-  /// this call must be read again.
+  /// Marks the kernel as running. State of the runtime that the caller has read
+  /// before this call must be read again.
   void begin(const Kernel &kernel) {
     running.store(&kernel, std::memory_order_release);
     std::atomic_signal_fence(std::memory_order_seq_cst);
@@ -138,7 +141,7 @@ struct Launch : TaiFrame {
   /// The launch's device state; its `code` is null if the launch runs on the
   /// CPU.
   std::unique_ptr<DeviceLaunch> onDevice;
-  /// The cells that the loops of this launch visited.
+  /// The active cells that the loops of this launch visited.
   LoopLists loops;
   Arena arena;
   /// For launches of adjoints: the cells that the loops of the primal launch
@@ -157,7 +160,7 @@ struct Launch : TaiFrame {
   std::mutex failureMutex;
   Status failure;
   HostState *host = nullptr;
-  /// Results of a kernel when the caller passes no memory for them.
+  /// Memory for the results of a kernel when the caller passes none.
   std::vector<uint64_t> unwanted;
   std::vector<std::pair<void *, size_t>> sinks;
   ~Launch();
@@ -196,12 +199,12 @@ inline HoldKind holdKindOf(AccessKind kind) {
   __builtin_unreachable();
 }
 
-/// Whether this access, in a launch with these arguments, may touch an element
-/// of `zeros`.
+/// True if an access, in a launch with the arguments `args`, may touch an
+/// element of `zeros`.
 bool mayAlias(const OwedZeros &zeros, const Access &access,
               const uint64_t *args);
-/// Finds the elements of a box in a launch with these arguments, clipped to the
-/// field; false if there are none.
+/// Finds the elements of a box that a launch with the arguments `args` stores,
+/// clipped to the field; false if there are none.
 bool findElements(const StoredBox &box, const Field &field,
                   const uint64_t *args, OwedZeros::Box &elements);
 

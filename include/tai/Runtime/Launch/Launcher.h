@@ -21,7 +21,8 @@
 #include "tai/Runtime/Launch/Options.h"
 #include "tai/Runtime/Launch/RunningLaunches.h"
 
-/// Compiled code gets a pointer to this type, which Abi.h declares only.
+/// The base class of Runtime. Abi.h only declares this type, and compiled code
+/// passes on a pointer to it.
 struct TaiRuntime {};
 
 namespace mlir::tai::runtime {
@@ -50,15 +51,16 @@ public:
 
   KernelList &kernels() { return kernelList; }
   DeviceLaunches &onDevice() { return deviceLaunches; }
-  /// The launches of all threads that run at present.
+  /// The registry of launches that run at present, on any thread.
   RunningLaunches &running() { return runningLaunches; }
 
   /// Launches a kernel, and records it if a tape is recording. `results` may be
   /// null for a kernel without results.
   Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                 uint64_t *results);
-  /// Launches the adjoint with the arguments of the primal; never recorded.
-  /// Afterwards the adjoints of the elements that the primal stores are zero.
+  /// Launches the adjoint of `kernel` with the arguments of the primal; no tape
+  /// records the launch. Afterwards the adjoints of the elements that the
+  /// primal stores are zero.
   Status launchAdjoint(Kernel &kernel, const uint64_t *args, int64_t slots);
 
   /// Asks running launches to stop at their next safepoint; they fail with
@@ -91,7 +93,7 @@ public:
   //===--------------------------------------------------------------------===//
 
   /// Gets a launch object, which the caller must release(). `isUnrecorded`: the
-  /// launch is neither recorded by a tape nor part of a sweep.
+  /// launch is neither recorded by a tape nor part of a reverse sweep.
   Launch *acquire(bool isUnrecorded = false);
   void release(Launch *launch);
   /// Destroys all launch objects; none may be running.
@@ -110,7 +112,7 @@ public:
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
                     const uint64_t *args, uint64_t number,
                     const LoopLists *given);
-  /// Whether a launch is a mere call of the kernel's code: no device, no
+  /// True if a launch is a mere call of the kernel's code: no device, no
   /// profiler, no forward mode.
   bool runsDirectly() const;
   /// Sets whether several consecutive launches may run as one fused launch.
@@ -118,7 +120,8 @@ public:
   static Status failureOf(Launch &launch, const Kernel &kernel);
 
 private:
-  /// Fills the PreparedLaunch of a kernel that has been launched.
+  /// Fills the PreparedLaunch, the data for the fast path, of a kernel that has
+  /// been launched.
   void prepare(Kernel &kernel);
   Launch *take();
   bool isReady(const Kernel &kernel) const;
@@ -133,8 +136,8 @@ private:
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
   void settleZeros(const Kernel &kernel, const uint64_t *args);
   void takeOverTangents(const Kernel &kernel);
-  /// Fail if the kernel (or its adjoint) accesses a field that another thread's
-  /// tape holds in a conflicting way.
+  /// Fail if the kernel (or its adjoint) accesses a field that the tape of
+  /// another thread holds in a conflicting way.
   Status checkHolds(const Kernel &kernel) const;
   Status checkAdjointHolds(const Kernel &kernel) const;
 

@@ -26,21 +26,21 @@ class LoopTimes {
 public:
   class Entry {
   public:
-    /// Whether the next run of the loop should be on one core, to be timed.
+    /// True if the next run of the loop should be on one core, to be timed.
     bool wantsRun() const {
       uint32_t runs = count.load(std::memory_order_relaxed);
       return runs < firstRuns || runs % interval == 0;
     }
-    /// Counts a run of the loop; to be called before each run.
+    /// Counts a run of the loop. Must be called before each run.
     void noteRun() { count.fetch_add(1, std::memory_order_relaxed); }
-    /// The measured nanoseconds for an iteration; 0 before the first
-    /// measurement.
+    /// The measured nanoseconds for one iteration of the loop; 0 before the
+    /// first measurement.
     double perIteration() const {
       return nanoseconds.load(std::memory_order_relaxed);
     }
-    /// Adds the time, in nanoseconds for an iteration, of a run on one core.
-    /// Other processes and page faults can only lengthen a run: the minimum
-    /// counts, and longer times move the result slightly.
+    /// Adds a measurement of a run on one core, in nanoseconds for an
+    /// iteration. Other processes and page faults can only lengthen a run, so
+    /// the minimum counts, and longer times move the result slightly.
     void add(double perIteration) {
       double old = nanoseconds.load(std::memory_order_relaxed);
       double next = old == 0 || perIteration < old
@@ -57,8 +57,8 @@ public:
     std::atomic<uint32_t> count{0};
   };
 
-  /// The entry of the loop with this estimate, in nanoseconds for an iteration;
-  /// null if the kernel has too many loops.
+  /// Returns the entry of the loop with this estimate, in nanoseconds for an
+  /// iteration; null if the kernel has too many loops.
   Entry *find(int64_t estimate) {
     for (Entry &entry : entries) {
       int64_t known = entry.estimate.load(std::memory_order_relaxed);

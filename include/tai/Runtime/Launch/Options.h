@@ -15,29 +15,29 @@ namespace mlir::tai::runtime {
 
 /// Instruments that watch launches without a change of their results.
 struct Instruments {
-  /// Debug mode: each launch on a device waits for its own end, and reports the
-  /// failures of its kernel itself.
+  /// True in debug mode, in which each launch on a device waits for its end and
+  /// reports the failures of its kernel itself.
   bool debug = false;
   bool profiler = false;
-  /// Whether kernels also compute shadow values of floats, in twice the
+  /// True if kernels also compute shadow values of floats, in twice the
   /// precision; see ShadowLog.h.
   bool shadow = false;
 };
 
 struct Options {
-  /// Number of worker threads; 0 means as many as the process may use.
+  /// The number of worker threads; 0 means as many as the process may use.
   int threads = 0;
-  /// Whether a device may time several sizes of blocks, which changes the bits
-  /// of sums.
+  /// True if the runtime may time several block sizes on a device, which
+  /// changes the bits of sums.
   bool triesBlocks = true;
   Instruments instruments;
   uint64_t seed = 0;
-  /// Maximum of bytes for trees and scratch memory; 0 means the memory of the
+  /// The most bytes for trees and scratch memory; 0 means the memory of the
   /// machine (or of its control group).
   int64_t memoryLimit = 0;
   /// The skips that are on; see Skips.def.
   SkipSet skips;
-  /// Number of threads in a block of a GPU launch; 0 means that the runtime
+  /// The number of threads in a block of a GPU launch; 0 means that the runtime
   /// chooses the number for each kernel.
   int blockThreads = 0;
   /// Upper limit of the threads in a block of a GPU launch; 0 means the

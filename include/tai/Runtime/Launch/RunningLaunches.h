@@ -39,22 +39,23 @@ public:
   /// Registers a launch object that the calling thread has made, and will use
   /// first.
   void add(Launch &launch);
-  /// Removes all launch objects.
+  /// Removes all launch objects from the registry.
   void clear();
-  /// Call before a thread takes a launch object that another thread may have
-  /// used: a forked child has none of the threads whose launches were running.
+  /// Drops the launches of threads that do not exist in a forked child. Must be
+  /// called before a thread takes a launch object that another thread may have
+  /// used.
   void noteFork() {
     if (__builtin_expect(!isSameProcess(), false))
       forgetParents();
   }
-  /// Calls `visit` for each running launch. The kernel is kept alive for that
-  /// time.
+  /// Calls `visit` for each running launch. The kernel of the launch is kept
+  /// alive for that time.
   void visit(const std::function<void(const Launch &, const Kernel &)> &visit);
-  /// Call before a kernel that has been launched is destroyed: waits until no
-  /// other thread visits it.
+  /// Waits until no other thread visits a kernel. Must be called before a
+  /// kernel that has been launched is destroyed.
   void waitForVisits() const { std::lock_guard<std::mutex> lock(mutex); }
-  /// Fails if a running kernel uses the tree. No launch must begin to use the
-  /// tree from now on.
+  /// Fails if a running kernel uses the tree. The caller ensures that no launch
+  /// begins to use the tree from now on.
   Status checkUnused(const Tree &tree, const TreeStore &store);
 
   bool areAny() const override;
@@ -69,7 +70,7 @@ private:
 
   mutable std::mutex mutex;
   std::vector<Launch *> launches;
-  /// The number of launch objects, and the thread that made the first object.
+  /// The number of launch objects, and the thread that made the first of them.
   std::atomic<size_t> count{0};
   std::atomic<const void *> first{nullptr};
   std::unique_ptr<ForkGuard> guard;

@@ -68,12 +68,12 @@ public:
   HostWrites &writes() { return hostWrites; }
   Launcher &launcher() { return launches; }
   ShadowLog &shadowLog() { return shadowSites; }
-  /// Counters of skipped and unskipped work; see
+  /// The counters of skipped and unskipped work; see
   /// docs/decisions/0008-skips.md.
   SkipCounters &skipCounters() { return skipCounts; }
 
   //===--------------------------------------------------------------------===//
-  // Options; all may change at any time between launches
+  // Options of the runtime; all may change at any time between launches
   //===--------------------------------------------------------------------===//
 
   const Options &options() const { return opts; }
@@ -97,7 +97,7 @@ public:
     opts.instruments.profiler = on;
     deviceHost.setProfiler(on);
   }
-  /// Whether device code should be compiled with source locations, for
+  /// True if device code should be compiled with source locations, for
   /// profilers.
   bool wantsPlaces() const {
     return opts.instruments.profiler || deviceHost.wantsPlaces();
@@ -107,7 +107,7 @@ public:
     // Invalidates prepared launches.
     state.storageChanged();
   }
-  /// Set the block size of GPU launches, or its limit. Apply to kernels that
+  /// Set the block size of GPU launches, or its upper limit, for kernels that
   /// are loaded afterwards.
   void setBlockThreads(int threads) { opts.blockThreads = threads; }
   void setMostBlockThreads(int threads) { opts.mostBlockThreads = threads; }
@@ -157,7 +157,7 @@ public:
   DeviceQueue *getDeviceQueue() const { return deviceHost.queue(); }
   DeviceContext *getDeviceContext() const { return deviceHost.get(); }
   Status synchronize() { return deviceHost.synchronize(); }
-  /// hasNotedFailure: whether a device call that could not return its failure
+  /// hasNotedFailure: true if a device call that could not return its failure
   /// has failed since the last takeFailure(), which returns the failure.
   bool hasNotedFailure() const {
     return __builtin_expect(deviceHost.isThere(), false) &&
@@ -268,8 +268,8 @@ public:
     return fieldGradients.clear(tape);
   }
   void clearTangents() { fieldGradients.clearTangents(); }
-  /// Stores the zeros that sweeps have deferred; see Gradients::settle. Call
-  /// before memory is accessed other than through fields.
+  /// Stores the zeros that reverse sweeps have deferred; see Gradients::settle.
+  /// Must be called before memory is accessed other than through fields.
   void settleZeros(const Gradients::Uses &uses = nullptr) {
     fieldGradients.settle(uses);
   }
@@ -277,7 +277,8 @@ public:
     settleZeros([=](const FieldPtr &field) { return &field->tree() == tree; });
   }
   Status exportField(Field &field, ExportedField &exported) {
-    // Others may read the memory of the whole tree from now on.
+    // Another library may read the memory of the whole tree from now on, so
+    // deferred zeros of all fields in the tree are stored first.
     settleZeros(&field.tree());
     return ExportedBuffer::make(field, deviceHost, exported);
   }
@@ -293,7 +294,7 @@ public:
     return launches.kernels().create(std::move(info));
   }
   int64_t numKernels() { return launches.kernels().size(); }
-  /// The registry of running launches.
+  /// The registry of launches that run at present.
   RunningLaunches &running() { return launches.running(); }
   Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                 uint64_t *results) {
@@ -371,12 +372,13 @@ public:
   void setPrintSink(Printer::Sink sink) { printer.setSink(std::move(sink)); }
   void print(std::string_view line) { printer.print(line); }
 
-  /// Profiled work, longest total time first. Waits for the device.
+  /// The profile of all work so far, longest total time first. Waits for the
+  /// device.
   std::vector<ProfileRow> profile() {
     return deviceHost.collectedProfiler().rows();
   }
   /// Time stamps of profiled work, unordered. Events refer to rows of
-  /// profile(). `lost`: the number of events that were dropped.
+  /// profile(). `lost` receives the number of events that were dropped.
   std::vector<TraceEvent> trace(int64_t &lost) {
     return deviceHost.collectedProfiler().events(lost);
   }
@@ -425,7 +427,7 @@ struct RuntimeSymbol {
   const char *name;
   void *address;
 };
-/// All functions of Abi.h.
+/// The list of all functions of Abi.h.
 std::vector<RuntimeSymbol> runtimeSymbols();
 
 } // namespace mlir::tai::runtime

@@ -57,7 +57,8 @@ struct ShadowRow {
 
 namespace shadow {
 
-/// Reserves the table. Fails if the system refuses the address range.
+/// Reserves the table of shadow values. Fails if the system refuses the address
+/// range.
 Status reserve();
 
 inline char *entryOf(const void *address) {
@@ -65,7 +66,7 @@ inline char *entryOf(const void *address) {
   return tai_rt_shadows + 2 * (bits & TAI_SHADOW_MASK);
 }
 
-/// The shadow of the float at the address, whose current value is `value`.
+/// Reads the shadow of the float at `address`, whose current value is `value`.
 template <typename T, typename Wide = long double>
 Wide read(const T *address, T value) {
   T entry[2];
@@ -80,12 +81,13 @@ void write(const T *address, T value, Wide exact) {
   std::memcpy(entryOf(address), entry, sizeof(entry));
 }
 
-/// Drops the shadows of a range of addresses.
+/// Drops the shadow values of a range of addresses.
 void forget(const void *address, int64_t bytes);
 
 } // namespace shadow
 
-/// The sites of a context.
+/// The sites (operations of the source) of a context, with the findings for
+/// each.
 class ShadowLog {
 public:
   struct Site {
@@ -110,7 +112,7 @@ public:
       return *static_cast<Site *>(named.site);
     return add(named);
   }
-  /// The sites with findings, greatest loss first.
+  /// Lists the sites with findings, greatest loss of precision first.
   std::vector<ShadowRow> rows() const;
   void clear();
 

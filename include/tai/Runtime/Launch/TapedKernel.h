@@ -12,7 +12,7 @@
 
 namespace mlir::tai::runtime {
 
-/// Access of tapes to private parts of kernels.
+/// Gives tapes access to private parts of kernels.
 struct TapedKernel {
   static KernelInfo &info(Kernel &kernel) { return kernel.info; }
   static const KernelInfo &info(const Kernel &kernel) { return kernel.info; }
@@ -22,7 +22,7 @@ struct TapedKernel {
   static std::atomic<uint64_t> &lastLaunch(Kernel &kernel) {
     return kernel.prepared.lastLaunch;
   }
-  /// Whether a launch of the kernel only calls its function with trees and
+  /// True if a launch of the kernel only calls its function with trees and
   /// arguments, without sparse cells, results or adjoints of the caller.
   static bool isDirect(const Kernel &kernel) {
     return kernel.sparseNodes.empty() && kernel.loopLevels.empty() &&
@@ -72,7 +72,7 @@ struct TapedKernel {
   static bool loadsStored(const Kernel &kernel) {
     return kernel.adjointPlan && kernel.adjointPlan->stored;
   }
-  /// Whether the adjoint always zeroes the adjoints of the elements that the
+  /// True if the adjoint always zeroes the adjoints of the elements that the
   /// kernel overwrites.
   static bool alwaysZeroes(const Kernel &kernel) {
     return kernel.adjointPlan && kernel.adjointPlan->zeroes;

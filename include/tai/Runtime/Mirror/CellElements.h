@@ -20,10 +20,12 @@ namespace mlir::tai::runtime {
 
 class CellElements {
 public:
-  /// The field must lie below a sparse level.
+  /// Describes the elements of a field in one cell. The field must lie below a
+  /// sparse level.
   explicit CellElements(const Field &field);
 
-  /// A contiguous piece of the field in one cell; `offset` is from `base`.
+  /// A contiguous piece of the field's elements in one cell; `offset` is from
+  /// the address that `base` returns for the cell.
   struct Run {
     int64_t offset;
     int64_t bytes;
@@ -42,7 +44,8 @@ public:
     return address;
   }
 
-  /// Copies the contents of the cell to or from a dense buffer of `bytes()`.
+  /// Copies the field's elements in a cell to or from a dense buffer of
+  /// `bytes()` bytes.
   void load(int64_t cell, char *to) const;
   void store(int64_t cell, const char *from) const;
   bool equal(int64_t cell, const char *expected) const;
@@ -50,8 +53,9 @@ public:
   void clear(int64_t cell) const;
   bool isZero(int64_t cell) const;
 
-  /// An element in a cell: its offset from `base`, and its number relative to
-  /// `firstNumber(cell)` in a row-major array of the field.
+  /// An element in a cell: its offset from the address that `base` returns, and
+  /// its number relative to `firstNumber(cell)` in a row-major array of the
+  /// field.
   struct Element {
     int64_t offset;
     int64_t number;
@@ -59,21 +63,22 @@ public:
   const std::vector<Element> &elements() const { return inner; }
   int64_t firstNumber(int64_t cell) const;
 
-  /// True if all elements of a cell have the same index along the dimension.
+  /// True if all elements of one cell have the same index along the dimension.
   bool separates(int dimension) const;
-  /// The index that all elements of a cell have, counted from zero.
+  /// The index along a dimension that all elements of a cell have, counted from
+  /// zero.
   int64_t position(int64_t cell, int dimension) const;
 
 private:
-  /// Calls body(offset, constant size, position in the buffer) for all runs
-  /// until it returns false.
+  /// Calls body(offset, constant size, position in the buffer) for all
+  /// contiguous pieces of a cell until `body` returns false.
   template <typename Body> bool forEachRun(const Body &body) const;
 
   const Field *field;
   std::vector<Run> pieces;
   int64_t total = 0;
-  /// The distance of the runs if there are many of one size at a uniform
-  /// distance, as in an array of structures; else 0.
+  /// The distance of the contiguous pieces if there are many of one size at a
+  /// uniform distance, as in an array of structures; else 0.
   int64_t step = 0;
   std::vector<Element> inner;
   /// The layout levels whose indices select a cell; `divisor` is the increment

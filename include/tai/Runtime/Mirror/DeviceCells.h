@@ -34,7 +34,8 @@ public:
   int64_t capacity() const { return most; }
   Device &device() const { return context->get(); }
 
-  /// DeviceActivity::generation when the list was last requested.
+  /// The value of DeviceActivity::generation when the list of cells was last
+  /// requested.
   uint64_t generation = 0;
 
   static constexpr DevicePtr cellsOffset = 256;
@@ -49,7 +50,7 @@ private:
   int64_t most;
 };
 
-/// Waits for the device, and copies the list.
+/// Waits for the device, and copies a list of active cells from it.
 Status fetchCells(const DeviceCells &list, std::vector<int64_t> &cells);
 
 /// Sets `differs` if loops over the level have not all visited the same cells.

@@ -38,14 +38,14 @@ public:
   const DeviceServices &host() const { return services; }
   Device &get() const { return *device; }
   DeviceQueue &queue() const { return *device; }
-  /// The device as seen by the queue.
+  /// The device as the queue of work sees it.
   WatchedDevice &watch() const { return *watched; }
   LibraryKernels &library() { return *libraryKernels; }
 
-  /// Allocates memory; if there is too little, the failure lists the owners of
-  /// the allocated blocks. Thread-safe.
+  /// Allocates device memory; if there is too little, the failure lists the
+  /// owners of the allocated blocks. Thread-safe.
   Status allocate(int64_t bytes, const std::string &owner, DevicePtr &memory);
-  /// Reserves memory that is committed on use; see Device::reserve.
+  /// Reserves device memory that is committed on use; see Device::reserve.
   Status reserve(int64_t bytes, const std::string &owner, DevicePtr &memory);
   void free(DevicePtr memory);
   /// Pooled memory that only queued work uses, such as saved values of tapes:
@@ -58,19 +58,19 @@ public:
   int64_t mostBytes() const;
   int64_t leftToReserved(int64_t taken);
 
-  /// The TaiDeviceState, allocated at the first call.
+  /// Gives the address of the device state (TaiDeviceState), which is allocated
+  /// at the first call.
   Status state(DevicePtr &memory);
   /// Notes that device code may have written to the TaiDeviceState.
   void noteStateUsed() { stateUsed.store(true, std::memory_order_relaxed); }
-  /// Call after waiting for the device: prints the output of device code, and
-  /// returns its failure.
+  /// Prints the output of device code, and returns its failure. Must be called
+  /// after waiting for the device.
   Status report();
 
   /// Starts collecting work, with the same scratch memory as the work collected
-  /// before, so that both can be the same graph.
+  /// before, so that both collections can use the same graph.
   void beginCollecting(bool isReplay) {
-    // If launches are deferred, they already use the current scratch memory:
-    // keep it.
+    // Deferred launches already use the current scratch memory, so it is kept.
     if (!device->keepsLaunches() && !device->isGathering())
       collections.fetch_add(1, std::memory_order_relaxed);
     device->beginCollecting(isReplay);
@@ -114,7 +114,8 @@ private:
   WatchedDevice *watched;
   std::unique_ptr<LibraryKernels> libraryKernels;
   int64_t limit;
-  /// Recursive: allocating may run queued work, and with it a handler.
+  /// The mutex is recursive, because allocating may run queued work, and with
+  /// it a signal handler that allocates.
   std::recursive_mutex mutex;
   Section makingState;
   struct Holding {
@@ -183,7 +184,7 @@ struct DeviceCode {
     unsigned threads;
     /// The number of blocks of `threads` threads that can be resident.
     unsigned mostBlocks;
-    /// Whether the kernel's loop specifies the block size `threads`, which is
+    /// True if the kernel's loop specifies the block size `threads`, which is
     /// then not tuned.
     bool hasSize;
     /// The trials that choose the block size; null if it is not tuned.
@@ -198,7 +199,8 @@ struct DeviceCode {
   /// the kernel changes.
   std::vector<Mirror *> mirrors, changed;
   std::vector<void *> bases;
-  /// The storage epoch for which the mirrors and bases are valid.
+  /// The epoch of the storage for which the mirrors and base addresses are
+  /// valid.
   std::atomic<uint64_t> epoch{0};
 };
 
@@ -209,10 +211,10 @@ struct DeviceLaunch {
         multiprocessors(context->get().limits().multiprocessors) {}
   ~DeviceLaunch();
 
-  /// Zeroed scratch memory, from a block that is zeroed again, in order with
-  /// launches, when it is used up.
+  /// Gives zeroed scratch memory from a block. A block that is used up is
+  /// zeroed again, in order with launches, and reused.
   Status scratch(int64_t bytes, DevicePtr &result);
-  /// Device memory with a copy of the caller's array.
+  /// Gives device memory that holds a copy of the caller's array.
   Status array(void *host, int64_t bytes, bool written, DevicePtr &result);
   /// The mirror of the tree with this device address, or null.
   Mirror *mirrorOf(const void *base) const {
@@ -221,9 +223,10 @@ struct DeviceLaunch {
         return code->mirrors[i];
     return nullptr;
   }
-  /// Copies written arrays back, and frees temporary memory.
+  /// Ends the launch: copies written arrays back to the caller, and frees
+  /// temporary memory.
   Status finish();
-  /// Whether a launch that has been queued needs neither copies back to the
+  /// True if a launch that has been queued needs neither copies back to the
   /// host nor a look at the TaiDeviceState.
   bool isFinished() const { return !usesState && memory == Memory::Trees; }
 
@@ -231,17 +234,19 @@ struct DeviceLaunch {
   const DeviceCode *code = nullptr;
   unsigned multiprocessors;
   bool usesState = false;
-  /// Whether the device has been synchronised since work was last queued.
+  /// True if the device has been synchronised since work was last queued.
   bool waited = false;
 
 private:
-  /// The kinds of device memory that a launch uses; each kind includes the
-  /// kinds before it.
+  /// The kinds of device memory that a launch uses. Each enumerator means that
+  /// the launch also uses the memory of the enumerators before it.
   enum class Memory {
     Trees,
-    /// Scratch memory, and device copies of the caller's arrays, besides trees.
+    /// The memory on the device that belongs to no tree: scratch memory, and
+    /// copies of the caller's arrays.
     Temporary,
-    /// Device memory of another library, besides trees and temporary memory.
+    /// Device memory that belongs to another library, such as an imported
+    /// array; the launch may use trees and temporary memory as well.
     Others
   };
   Memory memory = Memory::Trees;
@@ -255,7 +260,7 @@ private:
   std::vector<Array> arrays;
   DevicePtr block = 0;
   int64_t blockBytes = 0, used = 0;
-  /// Where the scratch memory of this launch begins in the block.
+  /// The offset at which the scratch memory of this launch begins in its block.
   int64_t start = 0;
   std::vector<DevicePtr> outgrown;
   /// The collection of work for which scratch memory was last allocated.

@@ -23,7 +23,7 @@ namespace mlir::tai::runtime {
 class DeviceContext;
 class DeviceQueue;
 
-/// Parts of the runtime that its device uses.
+/// Parts of the runtime that the device layer uses.
 struct DeviceServices {
   Printer &printer;
   const MemoryAccount &memory;
@@ -36,8 +36,8 @@ public:
   explicit DeviceHost(const DeviceServices &services);
   ~DeviceHost() override;
 
-  /// Sets the device, null for none, with at most `memoryLimit` bytes, 0 for
-  /// all of its memory.
+  /// Sets the device of the runtime, null for none, with at most `memoryLimit`
+  /// bytes, 0 for all of its memory.
   void use(std::unique_ptr<Device> device, int64_t memoryLimit);
   bool isThere() const { return context != nullptr; }
   /// The state shared by objects on the device; null if the runtime has no
@@ -51,10 +51,11 @@ public:
                const std::vector<SparseInfo> &levels) const override;
   std::shared_ptr<Mirror> make(Tree &tree, SparseOnDevice *&levels) override;
 
-  /// Fails for a signal handler that has interrupted a step that must be
+  /// Fails in a signal handler that has interrupted a step which must be
   /// complete before any other work; see DeviceQueue::checkHandler.
   Status checkHandler() const;
-  /// Waits for queued work; returns failures, and prints the output of kernels.
+  /// Waits for the work queued on the device; returns its failures, and prints
+  /// the output of kernels.
   Status synchronize();
   /// noteFailure keeps the first failure of calls that could not return it;
   /// takeFailure returns this failure and forgets it.
@@ -64,29 +65,30 @@ public:
     return __builtin_expect(isThere(), false) ? takeNoted() : Status::success();
   }
 
-  /// The device address of an offset in a tree; fails without a device.
+  /// Gives the device address of an offset in a tree; fails without a device.
   Status addressOf(const Tree &tree, int64_t offset, void *&address);
-  /// Order work relative to a stream of another library; see
-  /// Device::waitForStream. Without a device, both do nothing.
+  /// Order work of this runtime relative to a stream of another library; see
+  /// Device::waitForStream. Without a device, both functions do nothing.
   Status waitForStream(uint64_t stream);
   Status letStreamWait(uint64_t stream);
-  /// Device memory for a caller's copies of arrays.
+  /// Allocates device memory for the caller's copies of arrays.
   Status allocate(int64_t bytes, void *&address);
   void free(void *address);
   /// Copies memory on the device. The copy is queued in order with launches,
-  /// and collected into sequences like them.
+  /// and like launches it may become part of a collected sequence.
   Status copy(void *to, const void *from, int64_t bytes);
   /// Copies `rows` pieces of `bytes` bytes, `step` bytes apart, to the host.
   Status read(const void *from, int64_t step, int64_t bytes, int64_t rows,
               void *to);
-  /// Whether kernels on the device can access the address.
+  /// True if kernels on the device can access memory at `address`.
   bool isThere(const void *address) const;
 
-  /// The profiler; collectedProfiler() waits for the device first.
+  /// The profiler. collectedProfiler() first waits for the device, so that the
+  /// times of all queued work are in the profile.
   Profiler &profiler() const { return *sharedProfiler; }
   void setProfiler(bool on);
   Profiler &collectedProfiler();
-  /// Whether device code should be compiled with source locations, for
+  /// True if device code should be compiled with source locations, for
   /// profilers.
   bool wantsPlaces() const;
 
@@ -94,7 +96,7 @@ private:
   Status takeNoted();
 
   DeviceServices services;
-  /// Shared with the device.
+  /// The profiler, shared with the device.
   std::shared_ptr<Profiler> sharedProfiler;
   /// The device's state, shared with the objects that have memory on the
   /// device.

@@ -32,7 +32,7 @@ struct DeviceActivity {
     if (removes)
       lastRemoval = generation;
   }
-  /// Whether `cells` is known to list the cells that are active now.
+  /// True if the list `cells` is known to hold the cells that are active now.
   bool isShownBy(const DeviceCells &cells) const {
     return isBehind() ? cells.generation == generation
                       : cells.generation >= unchangedFrom;
@@ -57,8 +57,8 @@ public:
     base = treeBase;
     sums = tileSums;
   }
-  /// The device address of an uploaded list, preceded by its length. The caller
-  /// keeps `list` alive.
+  /// Gives the device address of an uploaded list of cells, preceded by its
+  /// length. The caller keeps `list` alive.
   Status find(const ActiveListPtr &list, DevicePtr &address);
   /// Queues the computation of the list of active cells, after the work queued
   /// before; the host does not wait. `cells` is null if the device cannot

@@ -29,7 +29,7 @@ public:
 
   /// Waits for queued work and adds its times to the profiler.
   Status collect();
-  /// Whether the source locations of functions are used, by the profiler or in
+  /// True if the source locations of functions are used, by the profiler or in
   /// NVTX ranges.
   bool wantsPlaces() const { return nvtx || profiler->isOn(); }
   /// The device for launches while the profiler is off; null if they need NVTX
@@ -120,11 +120,11 @@ private:
     std::string label;
     bool isKnown = false;
     DeviceFunctionFacts facts;
-    /// The launch shape for which `occupancy` is valid.
+    /// The launch shape for which the computed occupancy is valid.
     LaunchShape shape;
     double occupancy = -1;
   };
-  /// Work whose times have not been read yet.
+  /// Queued work whose times have not been read from the device yet.
   struct Pending {
     Profiler::Item item;
     std::unique_ptr<DeviceEvent> begin, end;
@@ -151,7 +151,8 @@ private:
   std::unordered_map<const DeviceFunction *, Entry> entries;
   std::deque<Pending> pending;
   std::vector<std::unique_ptr<DeviceEvent>> unused;
-  /// An event and its time on the host's clock, to align both clocks.
+  /// An event on the device and its time on the host's clock, to align both
+  /// clocks.
   std::unique_ptr<DeviceEvent> anchor;
   int64_t anchorNs = 0;
 };

@@ -34,8 +34,8 @@ class LibraryKernels {
 public:
   explicit LibraryKernels(DeviceQueue &queue) : queue(queue) {}
 
-  /// Loads the kernels at the first call. Sets `isThere` to false if no
-  /// compiler is available to make them.
+  /// Loads the kernels of the device library at the first call. Sets `isThere`
+  /// to false if no compiler is available to make them.
   Status load(bool &isThere);
   /// Queues a launch with blocks of the maximum size, up to `threads`; with
   /// `blocks` 0, with as many blocks as can be resident.

@@ -38,7 +38,8 @@ public:
     return deviceContext;
   }
   Tree &getTree() const { return tree; }
-  /// The part of the mirror for sparse levels; null for a tree without them.
+  /// The part of the mirror for sparse levels of the tree; null for a tree
+  /// without them.
   SparseMirror *sparse() const { return sparseTree.get(); }
   Device &device() const { return deviceContext->get(); }
   bool onHost() const { return hostCurrent.load(std::memory_order_acquire); }
@@ -46,10 +47,10 @@ public:
     return deviceCurrent.load(std::memory_order_acquire);
   }
 
-  /// Makes the memory of the host current.
+  /// Makes the host's copy of the tree current.
   Status toHost() { return onHost() ? Status::success() : download(); }
-  /// Marks the device as stale, before the host writes; the host must be
-  /// current.
+  /// Marks the device's copy as stale, before the host writes; the host's copy
+  /// must be current.
   void hostWrites() {
     hostCurrent.store(true, std::memory_order_relaxed);
     deviceCurrent.store(false, std::memory_order_relaxed);
@@ -58,9 +59,10 @@ public:
   }
   /// Gets the tree's device memory, allocated if necessary and possibly stale.
   Status allocate(DevicePtr &address);
-  /// Makes the memory of the device current.
+  /// Makes the device's copy of the tree current.
   Status toDevice() { return onDevice() ? Status::success() : upload(); }
-  /// Marks the host as stale, after work that writes was queued.
+  /// Marks the host's copy of the tree as stale, after work that writes it was
+  /// queued on the device.
   void deviceWrites() {
     hostCurrent.store(false, std::memory_order_relaxed);
     reads = writes = 0;
@@ -73,7 +75,8 @@ public:
   bool isExported() const {
     return exports.load(std::memory_order_relaxed) > 0;
   }
-  /// Notes that a library gets the device address; the device must be current.
+  /// Notes that another library gets the device address of the tree; the
+  /// device's copy must be current.
   void addExport() {
     exports.fetch_add(1, std::memory_order_relaxed);
     deviceWrites();
@@ -101,8 +104,8 @@ public:
   std::optional<bool> copyIn(const Field &field, const void *array,
                              bool canStop);
 
-  /// Elements [first, first + count) of a field with a uniform stride, as rows
-  /// in the device memory, which must be allocated.
+  /// Elements [first, first + count) of a field with a uniform stride, as a
+  /// strided region of the tree's device memory, which must be allocated.
   DeviceRows rows(const Field &field, int64_t first, int64_t count) const {
     int64_t bytes = field.numComponents() * byteSize(field.scalar());
     int64_t step = field.evenStep();
@@ -127,9 +130,9 @@ private:
   Section moving;
   std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
   std::atomic<int> exports{0};
-  /// True until the tree is first written: it holds zeros.
+  /// True until the tree is first written: until then, it holds zeros.
   std::atomic<bool> pristine{true};
-  /// Single elements read and written since the last launch.
+  /// The numbers of single elements read and written since the last launch.
   int64_t reads = 0, writes = 0;
   /// Counts writes on either side, so that a copy notices a handler's writes.
   uint64_t changes = 0;

@@ -27,10 +27,11 @@ struct OwedZeros {
   };
   std::vector<Box> boxes;
 
-  /// Adds a box; merges it with the last box if it continues the last box along
-  /// the dimension.
+  /// Adds a box of zero elements; merges it with the last box if it continues
+  /// the last box along the dimension.
   void add(Box box, int64_t dimension);
-  /// Whether some box covers this position along the dimension.
+  /// True if some box of zero elements covers this position along the
+  /// dimension.
   bool contains(int64_t dimension, int64_t position) const;
   void store(const Field &field) const;
 };

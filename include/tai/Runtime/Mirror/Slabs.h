@@ -24,8 +24,8 @@ namespace mlir::tai::runtime {
 
 struct DeviceRows;
 
-/// Some consecutive slabs of a field or, if `first` is negative, the whole
-/// field.
+/// Consecutive slabs (parts of a field with some leading indices fixed) or, if
+/// `first` is negative, the whole field.
 struct SlabRange {
   int64_t first = -1, count = 0;
 
@@ -50,7 +50,7 @@ public:
                                  const std::vector<FixedIndex> &fixed);
 
   const std::vector<int> &dimensions() const { return slowDimensions; }
-  /// The number of slabs, and the number of elements in each slab.
+  /// The number of slabs of the field, and the number of elements in each slab.
   int64_t count() const { return slabs; }
   int64_t elements() const { return slabElements; }
   int64_t elementBytes() const { return bytes; }
@@ -62,25 +62,27 @@ public:
   const std::vector<int64_t> &cellsOf(int64_t slab) const {
     return slabCells[slab];
   }
-  /// Numbers the cells of the list that have no number yet. Returns the number
-  /// of cells that had one.
+  /// Numbers those cells of the list that have no number yet. Returns the
+  /// number of cells that already had one.
   int64_t addCells(const ActiveListPtr &list);
 
-  /// Copies `count` elements from number `first` on, to or from a dense buffer.
+  /// Copies `count` elements of the field, from number `first` on, to or from a
+  /// dense buffer.
   void load(int64_t first, int64_t count, char *to) const;
   void store(int64_t first, int64_t count, const char *from) const;
   /// True if `count` elements from number `first` on equal the bytes at
   /// `expected`.
   bool equal(int64_t first, int64_t count, const char *expected) const;
-  /// Exchange `count` elements with a buffer, compare them with zero, or zero
-  /// them; only if byCell().
+  /// For fields below a sparse level only: exchange `count` elements with a
+  /// buffer, compare them with zero, or zero them.
   void exchange(int64_t first, int64_t count, char *contents) const;
   bool isZero(int64_t first, int64_t count) const;
   void clear(int64_t first, int64_t count) const;
-  /// Zeroes `count` elements from number `first` on; only if not byCell().
+  /// Zeroes `count` elements from number `first` on; only for fields without a
+  /// sparse level above.
   void zero(int64_t first, int64_t count) const;
 
-  /// onDevice: whether the field is on a device that can save ranges of it in
+  /// onDevice: true if the field is on a device that can save ranges of it in
   /// device memory, by the functions below. Unless inRowMajorOrder(), a range
   /// must be one slab.
   bool inRowMajorOrder() const { return isRowMajor; }
@@ -89,7 +91,7 @@ public:
   }
   Status keepOnDevice(int64_t first, int64_t count,
                       std::unique_ptr<DeviceBlock> &block) const;
-  /// Zeroed device memory for `count` elements.
+  /// Gives zeroed device memory for `count` elements of the field.
   Status zerosOnDevice(int64_t count,
                        std::unique_ptr<DeviceBlock> &block) const;
   void storeOnDevice(int64_t first, int64_t count,
@@ -99,8 +101,8 @@ public:
 
 private:
   DeviceRows rowsOf(int64_t first, int64_t count) const;
-  /// Changes a range on the device: by `moveCells` if byCell(), else by
-  /// `moveRows`.
+  /// Changes a range of elements on the device: by `moveCells` if elements are
+  /// numbered by cells, else by `moveRows`.
   template <typename MoveCells, typename MoveRows>
   void changeOnDevice(int64_t first, int64_t count, const MoveCells &moveCells,
                       const MoveRows &moveRows) const;
@@ -112,7 +114,7 @@ private:
 
   const Field *field;
   std::vector<int> slowDimensions;
-  /// Whether elements are numbered in row-major order.
+  /// True if elements are numbered in row-major order.
   bool isRowMajor;
   int64_t slabs = 1;
   int64_t slabElements = 1;
@@ -135,8 +137,8 @@ private:
   std::vector<Dimension> order;
 
   std::shared_ptr<CellElements> cells;
-  /// For byCell() on a device: the object that moves cells, and the cell
-  /// numbers `numbered` in device memory.
+  /// For fields whose elements are numbered by cells, on a device: the object
+  /// that moves cells, and the cell numbers `numbered` in device memory.
   std::shared_ptr<CellMover> mover;
   struct Numbers;
   std::shared_ptr<Numbers> numbersOnDevice;
@@ -146,7 +148,7 @@ private:
   /// sorted.
   std::vector<int64_t> numbered, known;
   ActiveListPtr lastAdded;
-  /// Cell numbers of each slab.
+  /// For each slab, the numbers of its cells.
   std::vector<std::vector<int64_t>> slabCells;
 };
 

@@ -35,7 +35,7 @@ public:
   SparseMirror(const SparseMirror &) = delete;
   SparseMirror &operator=(const SparseMirror &) = delete;
 
-  /// Fails if a tree of this size cannot be on the device.
+  /// Fails if a sparse tree of this size cannot be on the device.
   static Status check(const DeviceContext &context, const std::string &name,
                       int64_t bytes, const std::vector<SparseInfo> &levels);
 
@@ -45,7 +45,7 @@ public:
   /// Copies the tree to the host, after fetching its activity.
   Status download();
 
-  /// Notes that queued work may change activity; `removes`: may deactivate
+  /// Notes that queued work may change activity; `removes`: it may deactivate
   /// cells.
   void deviceActivates(bool removes) {
     state.change(removes);
@@ -60,7 +60,7 @@ public:
   bool isBehind() const override { return state.isBehind(); }
   uint64_t getGeneration() const override { return state.generation; }
   uint64_t getLastRemoval() const override { return state.lastRemoval; }
-  /// Fetches the activity, if the host's knowledge is stale.
+  /// Fetches the activity from the device, if the host's copy is stale.
   Status fetchActivity() { return isBehind() ? fetch() : Status::success(); }
   void bringActivity() override { context.note(fetchActivity()); }
 
@@ -75,7 +75,7 @@ public:
                   const void *scalarBytes);
 
   DeviceLists &lists() { return cellLists; }
-  /// Whether the list is known to be up to date.
+  /// True if the list of active cells is known to be up to date.
   bool isShownBy(const DeviceCells &cells) const {
     return state.isShownBy(cells);
   }
@@ -95,7 +95,7 @@ private:
   Status sendActivity();
   Status sendAccount();
   Status sendWords(const SparseNode &node, const std::vector<int64_t> &changed);
-  /// Uploads the activity of a level, except unchanged parts.
+  /// Uploads the activity of a level to the device, except unchanged parts.
   Status sendBits(const SparseNode &node);
   void touch(int64_t begin, int64_t end);
   void touchOutside(int64_t begin, int64_t end, const SparseNode *above,
@@ -110,18 +110,19 @@ private:
   DeviceActivity state;
   DeviceLists cellLists;
   DevicePtr block = 0, base = 0;
-  /// Whether the device memory is reserved, and committed on use; then a bit
-  /// for each committed piece follows the memory account.
+  /// True if the device memory is reserved, and committed on use; a bit for
+  /// each committed piece then follows the memory account.
   bool isReserved = false;
   int64_t pieceBytes = 0, numPieces = 0;
-  /// Device memory after the tree: a TaiDeviceActivity, removed cells and marks
-  /// for each level; the account; bits of the committed pieces.
+  /// Device memory that follows the tree: a TaiDeviceActivity, removed cells
+  /// and marks for each level; the memory account; bits of the committed
+  /// pieces.
   DevicePtr activity = 0, account = 0, pieces = 0;
   std::vector<DevicePtr> removed, marks;
-  /// The epoch of each level at which both sides had the same activity.
+  /// For each level, the epoch at which host and device had the same activity.
   std::vector<uint64_t> sharedEpochs;
-  /// Snapshots in order, and their memory, which is reused in the same order,
-  /// so that repeated work has the same addresses.
+  /// Snapshots of activity in order, and their device memory, which is reused
+  /// in the same order, so that repeated work has the same addresses.
   std::vector<std::function<void()>> kept;
   std::vector<DevicePtr> keptMemory;
   uint64_t keptGeneration = 0;

@@ -19,13 +19,15 @@ namespace mlir::tai::runtime {
 
 class Nvtx {
 public:
-  /// Null if no tool is attached. The library stays loaded.
+  /// Returns the functions of the NVTX library, or null if no profiling tool is
+  /// attached. The library stays loaded.
   static const Nvtx *get();
 
   void push(const char *name) const { (void)pushRange(name); }
   void pop() const { (void)popRange(); }
 
-  /// RAII range; does nothing if `nvtx` is null.
+  /// An NVTX range that lasts as long as the object; does nothing if `nvtx` is
+  /// null.
   class Range {
   public:
     Range(const Nvtx *nvtx, const char *name) : nvtx(nvtx) {

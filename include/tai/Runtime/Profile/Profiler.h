@@ -25,7 +25,7 @@
 
 namespace mlir::tai::runtime {
 
-/// Times of one kernel while the profiler is on.
+/// The times that one kernel took while the profiler was on.
 struct KernelTimes {
   int64_t launches = 0;
   int64_t totalNs = 0;
@@ -50,11 +50,11 @@ struct ProfileRow {
   ProfileKind kind = ProfileKind::Host;
   /// "file:line:column", or empty.
   std::string place = {};
-  /// Bytes that a launch of the kernel reads plus bytes that it writes, each
-  /// element counted once. Negative if not known.
+  /// The bytes that a launch of the kernel reads plus the bytes that it writes,
+  /// each element counted once. Negative if not known.
   int64_t bytes = -1;
   DeviceFunctionFacts facts = {};
-  /// Grid of the last launch: blocks, and threads in a block. Occupancy:
+  /// The grid of the last launch: blocks, and threads in a block. Occupancy:
   /// resident threads of the function as a fraction of the threads that the
   /// device can hold; negative if not known.
   unsigned blocks = 0, threads = 0;
@@ -67,7 +67,7 @@ struct TraceEvent {
   /// profiler.
   const ProfileRow *row;
   bool onDevice;
-  /// Number of the host thread, in the order of first use.
+  /// The number of the host thread, in the order of first use.
   int thread;
   int64_t startNs, durationNs;
   /// For an event on a device: the time at which the host queued the work.
@@ -87,8 +87,8 @@ public:
         .count();
   }
 
-  /// Finds the row of this kind and name, and creates it if there is none. The
-  /// result remains valid when times are cleared.
+  /// Finds the profile row of this kind and name, and creates it if there is
+  /// none. The result remains valid when times are cleared.
   Item find(ProfileKind kind, const std::string &name,
             const std::string &place);
   /// Sets, for the profile row of a kernel's device function, the bytes that a
@@ -97,30 +97,33 @@ public:
   void noteBytes(const std::vector<std::string> &functions, int64_t bytes);
   void noteFacts(Item item, const DeviceFunctionFacts &facts,
                  const LaunchShape &shape, double occupancy);
-  /// Adds the event's time to the row `item`, and stores the event.
+  /// Adds the event's time to the profile row `item`, and stores the event for
+  /// the trace.
   void count(Item item, const TraceEvent &event);
-  /// Stores the event only.
+  /// Stores an event for the trace, without adding its time to a profile row.
   void keep(Item item, const TraceEvent &event);
   /// The profiler's number for the calling thread, in the order of first use.
   int thread();
 
   /// The profile rows of work that has run, longest total time first.
   std::vector<ProfileRow> rows() const;
-  /// All events, unordered. `lost`: the number of dropped events.
+  /// Returns all events of the trace, unordered. `lost` receives the number of
+  /// dropped events.
   std::vector<TraceEvent> events(int64_t &lost) const;
   void clear();
 
 private:
   void keepLocked(Item item, const TraceEvent &event);
 
-  /// Enough for a minute of short kernels, in 64 MiB.
+  /// The most events that a trace keeps: enough for a minute of short kernels,
+  /// in 64 MiB.
   static constexpr size_t mostEvents = size_t(1) << 20;
 
   std::chrono::steady_clock::time_point origin =
       std::chrono::steady_clock::now();
   std::atomic<bool> on{false};
   mutable std::mutex mutex;
-  /// A deque, so that references to rows remain valid.
+  /// The profile rows, in a deque so that references to rows remain valid.
   std::deque<ProfileRow> items;
   std::map<std::pair<ProfileKind, std::string>, Item> known;
   std::unordered_map<std::string, int64_t> bytesOf;

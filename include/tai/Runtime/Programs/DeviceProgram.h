@@ -42,18 +42,19 @@ public:
   DeviceProgram(Device &device, Sequence sequence);
   ~DeviceProgram();
 
-  /// Runs the sequence. `same`: its parameter slots are the same as in the last
-  /// run.
+  /// Runs the sequence. `same` says that its parameter slots are the same as in
+  /// the last run.
   Status run(bool same, ProgramMode mode, const Tools &tools);
-  /// Runs the launches of `prefix`, then the sequence.
+  /// Runs the launches of `prefix`, and then the sequence.
   Status run(const Sequence &prefix, bool same, ProgramMode mode,
              const Tools &tools);
-  /// Whether a way to run the sequence is in use, or still to be tried.
+  /// True if a way to run the sequence is in use, or still to be tried.
   bool isPrepared() const { return used || hasTrials(); }
   std::string explain() const;
   bool uses(const Module &module) const;
   /// Sets the times of the chosen way and of a graph in milliseconds, for
-  /// RecordedLaunches::Outcome; leaves them unchanged while trials go on.
+  /// RecordedLaunches::Outcome; leaves the variables unchanged while trials go
+  /// on.
   void tellTimes(double &chosenMs, double &graphMs) const;
 
   Sequence sequence;
@@ -88,22 +89,24 @@ private:
 
   Device &device;
   std::unique_ptr<StepSchedules> schedules;
-  /// Compiles a program at once; null if programs are compiled in the
-  /// background.
+  /// The function that compiles a program at once; null if programs are
+  /// compiled in the background.
   ProgramMaker maker;
   ProgramStarter starter;
   KeptChoices choices;
   /// The way to run this sequence that an earlier process has chosen.
   std::optional<ProgramMode> keptChoice;
-  /// Whether steps of the current run have been queued.
+  /// True if steps of the current run have been queued on the device.
   bool hasStarted = false;
   std::unique_ptr<OverlappingKernels> overlapping;
   int runs = 0, changes = 0;
-  /// The time of the second run, and the time spent on trials since then.
+  /// The time of the second run of the sequence, and the time spent on trials
+  /// since then.
   Clock::time_point begun;
   Clock::duration spent{};
   std::vector<std::unique_ptr<Way>> ways;
-  /// The fastest way so far; null while steps are launched one by one.
+  /// The fastest way to run the sequence so far; null while its steps are
+  /// launched one by one.
   Way *used = nullptr;
   std::unique_ptr<PrefixedGraphs> prefixed;
 };

@@ -29,17 +29,19 @@ struct TileHalo {
   }
 };
 
-/// An array that launches of the chain write. Each block has an overlay of it
-/// in shared memory: a copy of the cells of its tile and of a halo.
+/// An array that launches of a tile chain write. Each thread block has an
+/// overlay of the array in shared memory: a copy of the cells of its tile and
+/// of a halo.
 struct TileRow {
   /// One launch of the chain (an index into TileChain::stages), and a site in
   /// it that accesses the array.
   size_t stage = 0;
   TileSite site;
   TileHalo halo;
-  /// Whether a block first loads the overlay from the array.
+  /// True if a thread block first loads the overlay from the array.
   bool isLoaded = false;
-  /// Offset of the array's overlay in the shared memory of a block, in bytes.
+  /// The offset of the array's overlay in the shared memory of a thread block,
+  /// in bytes.
   int64_t offset = 0;
 
   bool operator==(const TileRow &other) const {
@@ -48,7 +50,7 @@ struct TileRow {
   }
 };
 
-/// A launch of a chain.
+/// A launch of a tile chain.
 struct TileStage {
   /// The number of the program part that runs one iteration of the launch.
   uint64_t part = 0;
@@ -57,8 +59,9 @@ struct TileStage {
   size_t firstSlot = 0, numSlots = 0;
   TileHalo halo;
   std::vector<TileSite> sites;
-  /// For each site, the index in TileChain::rows of the array that it accesses;
-  /// -1 if the site accesses global memory without an overlay.
+  /// For each load or store site of the launch, the index in TileChain::rows of
+  /// the array that it accesses; -1 if the site accesses global memory without
+  /// an overlay.
   std::vector<int> rows;
 
   bool operator==(const TileStage &other) const {
@@ -69,19 +72,20 @@ struct TileStage {
 };
 
 struct TileChain {
-  /// The box of iterations that all launches of the chain cover.
+  /// The box of iterations that all launches of the tile chain cover.
   std::vector<int64_t> lower, upper;
-  /// Dimensions with periodic boundaries.
+  /// For each dimension, true if it has periodic boundaries.
   std::vector<bool> isCyclic;
   /// Along each dimension: the size of a tile in cells, and the number of
   /// tiles.
   std::vector<int64_t> tile, tiles;
   std::vector<TileStage> stages;
   std::vector<TileRow> rows;
-  /// Bytes of shared memory that a block needs for the overlays of all arrays.
+  /// The bytes of shared memory that a thread block needs for the overlays of
+  /// all arrays.
   int64_t bytes = 0;
-  /// Whether all blocks must have loaded their overlays before any block stores
-  /// its tile: a grid barrier separates loads from stores.
+  /// True if all thread blocks must have loaded their overlays before any block
+  /// stores its tile: a grid barrier separates loads from stores.
   bool mustWait = false;
 
   int64_t numTiles() const {
@@ -90,7 +94,8 @@ struct TileChain {
       number *= along;
     return number;
   }
-  /// The largest number of cells that a block computes for any one launch.
+  /// The largest number of cells that a thread block computes for any one
+  /// launch.
   int64_t mostCells() const {
     int64_t most = 0;
     for (const TileStage &stage : stages) {

@@ -21,14 +21,16 @@ namespace mlir::tai::runtime::programs {
 struct Function : DeviceFunction {
   DeviceFunction *function = nullptr;
   std::string name;
-  /// The bitcode of the module, shared by its functions: programs that use it
-  /// can outlive the module.
+  /// The LLVM bitcode of the module, shared by its functions: programs that use
+  /// the bitcode can outlive the module.
   std::shared_ptr<const std::string> bitcode;
   /// DeviceImage::key of the module.
   std::string imageKey;
-  /// Null if the function's accesses are not known.
+  /// The accesses of the function, prepared for queries; null if they are not
+  /// known.
   std::shared_ptr<const Footprint> footprint;
-  /// Null if the function cannot run in tiles.
+  /// The accesses of the function's iterations; null if the function cannot run
+  /// in tiles.
   std::shared_ptr<const FunctionAccesses> accesses;
 };
 
@@ -67,12 +69,12 @@ struct Step {
   unsigned numSlots = 0;
   Function *function = nullptr;
   LaunchShape shape;
-  /// The position of the step's slots in the sequence. Launch: the parameters.
-  /// Fill: address, pattern, its size, count. Copy: destination, source, bytes.
-  /// Rows: address, step, rowBytes, rows; other address and step, or pattern
-  /// and its size; outerStep, outer.
+  /// The position of the step's parameter slots in the sequence. Launch: the
+  /// parameters. Fill: address, pattern, its size, count. Copy: destination,
+  /// source, bytes. Rows: address, step, rowBytes, rows; other address and
+  /// step, or pattern and its size; outerStep, outer.
   size_t firstSlot = 0;
-  /// The hash of the sequence before this step.
+  /// The hash of all steps of the sequence before this step.
   uint64_t hashBefore = 0;
 
   bool isFill() const { return kind == Kind::Fill || kind == Kind::FillRows; }
@@ -82,7 +84,7 @@ struct Step {
 struct Sequence {
   std::vector<Step> steps;
   std::vector<uint64_t> slots;
-  /// A hash of the steps without their slots.
+  /// A hash of the steps without their parameter slots.
   uint64_t hash = 14695981039346656037ull;
 
   bool empty() const { return steps.empty(); }
@@ -94,7 +96,7 @@ struct Sequence {
     add(step);
   }
   /// Adds a fill. Merges adjacent consecutive fills into one step, such as
-  /// fills of fields that share cells; drops parts that are filled again
+  /// fills of fields that share cells; drops fills whose bytes are filled again
   /// immediately.
   void addFill(const DeviceRows &rows, const void *pattern, int patternBytes);
   DeviceFill fillOf(const Step &step) const;
@@ -120,15 +122,16 @@ struct Sequence {
   /// Queues a step.
   Status run(Device &device, const Step &step) const;
   StepMemory memoryOf(const Step &step) const;
-  /// The maximum number of threads of a step.
+  /// The maximum number of threads that a step of the sequence uses.
   unsigned getWidth() const;
-  /// The number of launches before the first step of another kind.
+  /// The number of launches at the start of the sequence, before the first step
+  /// of another kind.
   size_t countFirstLaunches() const;
   /// The launched functions, in order of first use.
   std::vector<const Function *> listParts() const;
-  /// Whether all functions can be parts of programs.
+  /// True if all launched functions can be parts of programs.
   bool areAllPartsKnown() const;
-  /// Whether the sequence launches functions of the module.
+  /// True if the sequence launches functions of the module.
   bool uses(const Module &module) const;
 
 private:

@@ -35,10 +35,12 @@ struct Sequence;
 class DeviceProgram;
 } // namespace programs
 
-/// The open collection of launches. While none is open, the last collection.
+/// The collection of launches that is open; while none is open, the last
+/// collection.
 struct LaunchCollection {
   bool isReplay = false;
-  /// Whether the collected sequence ran as a program.
+  /// True if the collected sequence ran as a program, one kernel for all
+  /// launches.
   bool hasProgram = false;
 };
 
@@ -54,19 +56,21 @@ public:
   /// Sets the compiler of programs. Without one, a sequence can become a graph,
   /// but not a program.
   void setProgramMaker(ProgramMaker maker) { makeProgram = std::move(maker); }
-  /// With a starter, programs are compiled in the background, and `Automatic`
-  /// tries them within a share of the time that their sequence has run.
+  /// Sets the function that compiles programs in the background. `Automatic`
+  /// then tries the programs within a share of the time that their sequence has
+  /// run.
   void setProgramStarter(ProgramStarter starter) {
     startProgram = std::move(starter);
   }
-  /// Storage for the chosen forms of sequences, across processes.
+  /// Sets the storage in which the chosen forms of sequences are kept across
+  /// processes.
   void keepChoices(KeptChoices kept) { choices = std::move(kept); }
   void setMode(ProgramMode wanted) {
     (void)settle();
     recording = Recording::None;
     mode = wanted;
   }
-  /// Queues all work step by step, so that each step can be timed.
+  /// With `on`, queues all work step by step, so that each step can be timed.
   void setOneByOne(bool on) {
     (void)settle();
     if (on)
@@ -82,18 +86,18 @@ public:
   }
   void unshare() { --numShared; }
 
-  /// Makes kernels of functions of the device library; requires
+  /// Make device kernels of functions of the device library, which requires
   /// canMakePrograms().
   bool canMakePrograms() const { return bool(makeProgram); }
   Status makeLibrary(const std::vector<std::string> &names,
                      DeviceImage &image) const;
 
-  /// Bracket work to collect. Pairs nest; the outermost end runs the work.
+  /// Bracket work to collect. Calls nest; the outermost end runs the work.
   /// Launches that are repeated between two replays become part of the second
   /// replay (docs/decisions/0014-launches-between-replays.md).
   void beginCollecting(bool isReplay = false);
-  /// Whether work is or may be collected; recorded work gives the same result
-  /// either way.
+  /// True if work is being collected, or may be collected because a tape
+  /// records. Recorded work gives the same result in both cases.
   bool isCollecting() const { return collecting > 0 || isRecording(); }
   Status endCollecting();
   /// Bracket the recording of a tape. Launches that probably repeat launches of
@@ -103,7 +107,7 @@ public:
   /// sequence.
   Status beginRecording();
   Status endRecording(bool isSwept);
-  /// Whether launches that a tape records are being collected.
+  /// True if launches that a tape records are being collected.
   bool isGathering() const;
   /// Copies values that a tape saves. The copy can be deferred with other work,
   /// because only queued work reads the destination.
@@ -120,12 +124,12 @@ public:
       return Status::success();
     return flush();
   }
-  /// Fails for a handler that has interrupted work which runs the collected
-  /// launches: only a part of the launches has been queued, and on a device
-  /// that does not run by itself only a part is done.
+  /// Fails in a signal handler that has interrupted work which runs the
+  /// collected launches: only a part of the launches has been queued, and on a
+  /// device that does not run by itself only a part is done.
   Status checkHandler() const;
-  /// keepsLaunches: whether launches are being deferred. mayKeep: whether they
-  /// may be deferred. expectsLaunches: whether the next launches will probably
+  /// keepsLaunches: true if launches are being deferred. mayKeep: true if they
+  /// may be deferred. expectsLaunches: true if the next launches will probably
   /// be deferred.
   bool keepsLaunches() const;
   bool mayKeep() const { return watches || isRecording(); }
@@ -143,7 +147,8 @@ public:
   Status launchNow(DeviceFunction &function, const LaunchShape &shape,
                    const uint64_t *slots, int count);
 
-  /// Describes how each known sequence of launches is run, a line for each.
+  /// Describes how each known sequence of launches is run, with a line for each
+  /// sequence.
   std::string explain() const;
 
   DeviceKind kind() const override { return device->kind(); }
@@ -194,7 +199,8 @@ public:
 private:
   bool isRecording() const { return recording != Recording::None; }
 
-  /// Queues the collected work; a complete sequence may become a program.
+  /// Queues the collected work. With `isWhole`, the collected sequence is
+  /// complete, and may become a program.
   Status flush(bool isWhole);
   Status flush() {
     if (runDepth)
@@ -203,7 +209,7 @@ private:
     bool isWhole = noteOther();
     return flush(isWhole || collecting > 0);
   }
-  /// Tells the recording of work other than launches and fills. Returns whether
+  /// Tells the recording of work other than launches and fills. Returns true if
   /// the recording so far equals a complete known recording.
   bool noteOther();
   Status launchRecorded(programs::Function &function, const LaunchShape &shape,
@@ -218,18 +224,19 @@ private:
 
   std::unique_ptr<Device> device;
   Device *unwatched;
-  // Members that each launch reads.
+  // The device to which launches are passed, beside the other members that each
+  // launch reads.
   Device *launcher = nullptr;
   int collecting = 0;
-  /// Whether there is deferred work outside of a collection.
+  /// True if there is deferred work outside of a collection.
   bool isKeeping = false;
-  /// Whether launches outside of a recording may be deferred.
+  /// True if launches outside of a recording may be deferred.
   bool watches = false;
-  /// Whether a tape is recording.
+  /// Tells whether a tape is recording.
   enum class Recording {
     None,
     Open,
-    /// The recording has ended, and the reverse sweep of its tape follows.
+    /// The recording has ended, and the reverse sweep of its tape will follow.
     AwaitsSweep
   };
   Recording recording = Recording::None;
@@ -240,16 +247,17 @@ private:
   KeptChoices choices;
   std::atomic<int> numShared{0};
   std::unique_ptr<programs::Sequence> collected;
-  /// Deferred launches and fills before `collected`.
+  /// The sequence of fills and launches that were deferred before the
+  /// collection in `collected` began.
   std::unique_ptr<programs::Sequence> prefix;
   std::unique_ptr<SequencePrefixes> prefixes;
   std::unique_ptr<RecordedLaunches> recorded;
   LaunchCollection collection;
   /// The first failure of a call that could not return it.
   Status failure;
-  /// Memory of the device by address, and memory that was given back while
-  /// collected work may use it, in this order. A block moves from one map to
-  /// the other without an allocation on the host.
+  /// Memory blocks of the device by address, and blocks that were given back
+  /// while collected work may still use them. A block moves from one map to the
+  /// other without an allocation on the host.
   using Blocks = std::map<uint64_t, DevicePtr>;
   Blocks blocks, released;
   uint64_t numReleased = 0;

@@ -24,22 +24,23 @@ using DeviceCellsPtr = std::shared_ptr<const DeviceCells>;
 
 class LoopLists {
 public:
-  /// If the launch has several loops over the same sparse level: whether all of
-  /// them visited the same cells.
+  /// If the launch has several loops over the same sparse level: tells whether
+  /// all of them visited the same cells.
   enum class Others {
     /// All loops over the level visited the same cells, or there is only one
     /// loop.
     Same,
-    /// Another loop visited different cells.
+    /// Another loop over the level visited different cells.
     Differ,
-    /// Not known: comparing would have to wait for lists on a device.
+    /// Not known, because comparing the visited cells would have to wait for
+    /// lists on a device.
     Unknown
   };
 
   struct Entry {
     const SparseNode *node;
-    /// The cells that the loop visited, on the host or on the device: exactly
-    /// one of the two is set.
+    /// The cells that the loop visited, as a list on the host or on the device:
+    /// exactly one of the two is set.
     ActiveListPtr list;
     DeviceCellsPtr onDevice;
     Others others = Others::Same;

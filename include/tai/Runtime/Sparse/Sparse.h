@@ -55,7 +55,8 @@ struct CellMemory {
   std::atomic<int64_t> activeBytes{0};
   std::atomic<int64_t> *allActiveBytes = nullptr;
   const ListMaker *lists = nullptr;
-  /// Regions for which large pages have been requested, by number.
+  /// The regions for which large pages have been requested, by number of the
+  /// region.
   std::unordered_set<uintptr_t> largePages;
   std::mutex largePagesMutex;
 };
@@ -64,21 +65,21 @@ struct CellMemory {
 class SparseOnDevice {
 public:
   virtual ~SparseOnDevice() = default;
-  /// Fetches the activity, if the host's knowledge is stale.
+  /// Fetches the activity from the device, if the host's copy is stale.
   virtual void bringActivity() = 0;
-  /// Call before the host changes activity (`removes`: deactivates cells):
-  /// makes the host current and the device stale.
+  /// Makes the activity on the host current and on the device stale. Must be
+  /// called before the host changes activity (`removes`: deactivates cells).
   virtual void hostChanges(bool removes) = 0;
-  /// Whether the activity in the device's memory is current.
+  /// True if the activity in the device's memory is current.
   virtual bool isCurrent() const = 0;
-  /// Whether the host's copy of the activity is stale.
+  /// True if the host's copy of the activity is stale.
   virtual bool isBehind() const = 0;
   /// Numbers of states of activity, as far as the host knows: of the current
   /// state, and of the state at which cells were last deactivated.
   virtual uint64_t getGeneration() const = 0;
   virtual uint64_t getLastRemoval() const = 0;
-  /// Deactivates all cells of a level on the device too, after the host. False
-  /// if the device should be updated by an upload instead.
+  /// Deactivates all cells of a level on the device too, after the host has
+  /// done so. False if the device should be updated by an upload instead.
   virtual bool deactivateAll(SparseNode &node) = 0;
   /// Uploads the activity of a level to a device that is current except for the
   /// words of bits, or the lengths, in `changed`.
@@ -86,13 +87,13 @@ public:
                               const std::vector<int64_t> &changed) = 0;
 };
 
-/// The layout of a sparse level.
+/// Describes the layout of a sparse level.
 struct SparseInfo {
-  /// Name of the level for messages: "the 'pointer' level above @x, @v".
+  /// The name of the level for messages: "the 'pointer' level above @x, @v".
   std::string label;
   /// True for a `dynamic` level: the active cells of each list are its first.
   bool isList = false;
-  /// The nearest sparse level above, or -1.
+  /// The number of the nearest sparse level above, or -1.
   int parent = -1;
   /// For each level on the path from the root to this level: the number of its
   /// cells below one parent cell, and the distance in bytes between them.
@@ -105,7 +106,7 @@ struct SparseInfo {
   int64_t activityOffset = 0; // of the bits, or of the lengths
 };
 
-/// The active cells of a level, ascending.
+/// The list of active cells of a sparse level, ascending.
 struct ActiveList {
   std::vector<int64_t> cells;
   uint64_t epoch = 0;
@@ -122,17 +123,17 @@ public:
   const SparseInfo &info() const { return layout; }
   bool isInnermost() const { return children.empty(); }
   int64_t numCells() const { return cells; }
-  /// Bytes of one cell.
+  /// The size of a cell of this level in bytes.
   int64_t cellBytes() const { return layout.steps.back().stride; }
   /// The number of cells of this level below one cell of the next sparse level
   /// above.
   int64_t numCellsBelow() const { return cellsBelow; }
-  /// Whether cells of this level consist of cells of further sparse levels, and
+  /// True if cells of this level consist of cells of further sparse levels, and
   /// hold no elements themselves.
   bool holdsCellsAlone() const;
-  /// Offset of a cell's memory from the base of the tree, in bytes.
+  /// The offset of a cell's memory from the base of the tree, in bytes.
   int64_t offsetOf(int64_t cell) const;
-  /// Size in bytes of the level's activity: a bit for each cell, or, for a
+  /// The size in bytes of the level's activity: a bit for each cell, or, for a
   /// level of lists, the length of each list.
   int64_t activityBytes() const;
   int64_t numActive() const {
@@ -167,7 +168,7 @@ public:
     bool isKnown;
   };
   Moment now() const;
-  /// Whether the level's activity has changed, or a cell of it has been
+  /// True if the level's activity has changed, or a cell of it has been
   /// deactivated, since `moment`. Conservative if the host's copy of the
   /// activity was stale at that moment: a change before the moment may count as
   /// after it.
@@ -184,10 +185,10 @@ public:
   std::vector<int64_t> takeRemovals();
 
   bool isActive(int64_t cell) const;
-  /// Activates the cell and its ancestors; in a list, also the cells before it.
+  /// Activates a cell and its ancestors; in a list, also the cells before it.
   /// Returns true if any cell was inactive.
   bool activate(int64_t cell);
-  /// Deactivates and zeroes the cell with all its descendants. In a list, this
+  /// Deactivates and zeroes a cell with all its descendants. In a list, this
   /// applies to the whole list.
   void deactivate(int64_t cell);
   void deactivateAll();
@@ -215,8 +216,8 @@ public:
 
   /// Sets the interface to the tree's sparse levels on a device; null for none.
   void setOnDevice(SparseOnDevice *levels) { onDevice = levels; }
-  /// Activity as the host knows it, possibly stale: does not wait for the
-  /// device.
+  /// The number of active cells as the host knows it, possibly stale: does not
+  /// wait for the device.
   int64_t knownActive() const { return active.load(std::memory_order_relaxed); }
   uint64_t knownEpoch() const {
     return changes.load(std::memory_order_acquire);
@@ -249,7 +250,7 @@ public:
   void countList(bool isReused) { ++(isReused ? reused : made); }
 
 private:
-  /// Fetches the activity if it is newer on a device.
+  /// Fetches the activity from the device if it is newer there.
   void sync() const {
     if (__builtin_expect(onDevice != nullptr, false))
       onDevice->bringActivity();
@@ -272,7 +273,7 @@ private:
   void useLargePages(const ActiveList &list);
   void markWord(int64_t word);
   /// Appends to `found` the active cells whose activity lies in the words that
-  /// the bits [begin, end) of `marks` stand for.
+  /// the bits [begin, end) of the set `marks` stand for.
   void collectInto(std::vector<int64_t> &found, int64_t begin,
                    int64_t end) const;
 
@@ -282,7 +283,7 @@ private:
   SparseNode *parent;
   std::vector<SparseNode *> children;
   int64_t cells = 1;
-  /// Cells of this level below one cell of `parent`.
+  /// The number of cells of this level below one cell of the parent level.
   int64_t cellsBelow = 1;
   /// Bit i is set if word i of the level's activity has ever been non-zero.
   /// Conservative: the word may be zero now.

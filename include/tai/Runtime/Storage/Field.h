@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Storage and its description. The compiler determines the layout; the runtime
-// gets it as a FieldLayout and uses it for host access only. Compiled kernels
-// compute addresses themselves.
+// Trees and fields: memory and its description. The compiler determines the
+// layout; the runtime gets it as a FieldLayout and uses it for host access
+// only. Compiled kernels compute addresses themselves.
 //
 //===----------------------------------------------------------------------===//
 
@@ -47,9 +47,10 @@ int64_t byteSize(ScalarKind kind);
 bool isFloat(ScalarKind kind);
 const char *spelling(ScalarKind kind);
 
-/// One allocation, initially zero. Pages are committed when first written. With
-/// a device, the tree has memory there too, and either copy may be stale: the
-/// host must access the contents by `readable` and `writable`.
+/// The memory of a tree, one allocation that is initially zero. Pages are
+/// committed when first written. With a device, the tree has memory on the
+/// device too, and either copy may be stale, so the host must access the
+/// contents by `readable` and `writable`.
 class Tree {
 public:
   const std::string &name() const { return treeName; }
@@ -77,16 +78,16 @@ public:
   const std::vector<std::unique_ptr<SparseNode>> &sparseNodes() const {
     return nodes;
   }
-  /// Whether other libraries have the address of the tree, so that they may
+  /// True if other libraries have the address of the tree, so that they may
   /// write to it at any time.
   bool isExported() const {
     return exports.load(std::memory_order_relaxed) > 0;
   }
-  /// Bytes of the active cells of the tree's innermost sparse levels.
+  /// The bytes of the active cells of the tree's innermost sparse levels.
   int64_t activeCellBytes() const {
     return cells.activeBytes.load(std::memory_order_relaxed);
   }
-  /// Whether new launches may use the tree.
+  /// True if new launches may use the tree.
   bool isThere() const {
     return cells.base && !isClosing.load(std::memory_order_acquire);
   }
@@ -136,8 +137,8 @@ struct LayoutLevel {
 ///        + c * componentStride.
 struct FieldLayout {
   ScalarKind scalar = ScalarKind::F32;
-  /// Shape of an element: empty for a scalar, one number for a vector, two for
-  /// a matrix.
+  /// The shape of an element: empty for a scalar, one number for a vector, two
+  /// for a matrix.
   std::vector<int64_t> elementShape;
   int64_t placeOffset = 0;
   /// Bytes from one component of an element to the next; 0 means the size of
@@ -194,13 +195,13 @@ public:
     return fieldLayout.elementShape;
   }
   int64_t numElements() const { return elements; }
-  /// Components of one element.
+  /// The number of components of one element.
   int64_t numComponents() const { return components; }
   /// The first index of the field along a dimension.
   int64_t firstIndex(int64_t dimension) const {
     return fieldLayout.offset.empty() ? 0 : fieldLayout.offset[dimension];
   }
-  /// Bytes of the row-major host array of the whole field.
+  /// The bytes of a row-major host array with all elements of the field.
   int64_t hostBytes() const {
     return elements * components * byteSize(fieldLayout.scalar);
   }
@@ -210,10 +211,10 @@ public:
   bool valid() const { return owner->base() != nullptr; }
   /// True if the elements of the field are contiguous in row-major order.
   bool contiguous() const { return isContiguous; }
-  /// If elements are dense and have a uniform stride in row-major order: the
-  /// stride in bytes, else 0.
+  /// The distance in bytes between consecutive elements if elements are dense
+  /// and have a uniform stride in row-major order, else 0.
   int64_t evenStep() const { return elementStep; }
-  /// Address of the first element; see Tree::base().
+  /// The address of the first element of the field; see Tree::base().
   char *data() const { return owner->base() + fieldLayout.placeOffset; }
   /// The address of the first element, for reading or for changing the current
   /// contents; see Tree::readable.
@@ -233,8 +234,9 @@ public:
   }
   std::shared_ptr<const OwedZeros> owedZeros() const;
   void oweZeros(std::shared_ptr<const OwedZeros> zeros) const;
-  /// Stores the owed zeros. Call before any access to the elements; returns
-  /// when the zeros are stored, whichever thread stores them.
+  /// Stores the owed zeros of the field. Must be called before any access to
+  /// the elements; returns when the zeros are stored, whichever thread stores
+  /// them.
   void settleZeros() const {
     if (owesZeros())
       storeZeros();
@@ -248,7 +250,7 @@ public:
   /// True if this field is the adjoint field of another field.
   bool isAdjoint() const { return ofPrimal; }
 
-  /// For an adjoint field: whether any element may be non-zero.
+  /// For an adjoint field: true if any element may be non-zero.
   bool dirty() const { return dirtiedBy() != 0 || owner->isExported(); }
   void markDirty() {
     uint64_t self = threadNumber();
@@ -260,9 +262,9 @@ public:
   uint64_t dirtiedBy() const {
     return lastWriter.load(std::memory_order_relaxed);
   }
-  /// Call when the field has been cleared.
+  /// Notes that the field has been set to zero.
   void markClean() { lastWriter.store(0, std::memory_order_relaxed); }
-  /// Whether a thread other than the calling thread wrote the field last.
+  /// True if a thread other than the calling thread wrote the field last.
   bool isDirtiedByOther() const {
     uint64_t writer = dirtiedBy();
     return writer != 0 && writer != threadNumber();
@@ -270,7 +272,7 @@ public:
   /// The number of changes that the host has made to the field.
   uint64_t version() const { return hostVersion; }
   void countChange() { ++hostVersion; }
-  /// The tapes that use the field.
+  /// The tapes that use the field at present.
   FieldHolds holds;
 
   /// The innermost sparse level above the field, or null.
@@ -279,8 +281,8 @@ public:
                ? nullptr
                : owner->sparseNodes()[fieldLayout.sparseNode].get();
   }
-  /// The cell of the level sparseNode() that holds the element, or -1 if an
-  /// index is out of range.
+  /// The number of the cell of the level sparseNode() that holds the element,
+  /// or -1 if an index is out of range.
   int64_t cellNumber(const int64_t *index) const;
 
   /// The offset of the element in the tree, or -1 if an index is out of range.
@@ -295,7 +297,7 @@ public:
   Status readI64(const int64_t *index, int64_t component, int64_t &value) const;
   Status writeI64(const int64_t *index, int64_t component, int64_t value);
   /// Reads all components of the elements at `count` index tuples, in the type
-  /// of the field. To write see HostWrites::writeElements.
+  /// of the field. HostWrites::writeElements writes elements.
   Status readElements(const int64_t *indices, int64_t count,
                       void *values) const;
   /// Computes the offset in the tree of one component of one element. Fails if
@@ -338,8 +340,8 @@ private:
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<uint64_t> lastWriter{0};
-  /// The zeros that are not stored yet, guarded by one mutex for all fields;
-  /// and whether there are any.
+  /// The zeros of the field that are not stored yet, guarded by one mutex for
+  /// all fields; and a flag that tells whether there are any.
   mutable std::shared_ptr<const OwedZeros> owed;
   mutable std::atomic<bool> owes{false};
   uint64_t hostVersion = 0;

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A prepared launch is valid as long as one number is unchanged. This class
-// owns that number.
+// Owns the number that tells whether prepared launches are still valid: a
+// prepared launch is valid as long as this number is unchanged.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,8 +21,8 @@ namespace mlir::tai::runtime {
 
 class LaunchState {
 public:
-  /// Sets the variable where launches read the number. It then holds the epoch,
-  /// or `never` while launches need extra steps.
+  /// Sets the variable where launches read the state number. The variable then
+  /// holds the epoch, or `never` while launches need extra steps.
   static constexpr uint64_t never = UINT64_MAX;
   void publishTo(std::atomic<uint64_t> &place) {
     std::lock_guard<std::mutex> lock(mutex);
@@ -30,8 +30,8 @@ public:
     update();
   }
 
-  /// The number of the state of the storage: changes when a tree is destroyed
-  /// or an adjoint is added. Kernels then bind again.
+  /// The epoch of the storage, which changes when a tree is destroyed or an
+  /// adjoint is added. Kernels then bind their fields again.
   uint64_t epoch() const { return current.load(std::memory_order_relaxed); }
   void storageChanged() {
     std::lock_guard<std::mutex> lock(mutex);
@@ -40,7 +40,7 @@ public:
   }
 
   /// Bracket a period in which launches need more steps than the call of the
-  /// kernel's code, for example while a tape records. Pairs nest.
+  /// kernel's code, for example while a tape records. Calls nest.
   void beginSpecial() { countSpecial(1); }
   void endSpecial() { countSpecial(-1); }
   bool isSpecial() const {

@@ -13,8 +13,8 @@
 
 namespace mlir::tai::runtime {
 
-/// Host memory: the limit of bytes for trees and scratch, and the bytes of
-/// trees.
+/// The account of host memory: the limit of bytes for trees and scratch memory,
+/// and the bytes of trees.
 class MemoryAccount {
 public:
   /// `limit`: maximum of bytes; 0 means the memory of the machine, or of the
@@ -24,12 +24,12 @@ public:
   int64_t limit() const { return most; }
   /// Sets the limit. Existing trees above the limit are kept.
   void setLimit(int64_t bytes);
-  /// Bytes of trees without sparse levels.
+  /// The bytes of trees without sparse levels.
   int64_t reserved() const { return taken; }
   int64_t left() const { return most - taken; }
   void reserve(int64_t bytes) { taken += bytes; }
   void release(int64_t bytes) { taken -= bytes; }
-  /// Bytes of active cells of all sparse trees, updated by the trees.
+  /// The bytes of active cells of all sparse trees, which the trees update.
   std::atomic<int64_t> activeCells{0};
   int64_t activeCellBytes() const {
     return activeCells.load(std::memory_order_relaxed);

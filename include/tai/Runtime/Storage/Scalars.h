@@ -23,22 +23,23 @@ int64_t loadI64(ScalarKind kind, const char *address);
 void storeF64(ScalarKind kind, char *address, double value);
 void storeI64(ScalarKind kind, char *address, int64_t value);
 
-/// IEEE binary16 and bfloat16, rounded to nearest, ties to even.
+/// Conversions of f64 to IEEE binary16 and bfloat16, rounded to nearest, ties
+/// to even.
 uint16_t halfFromDouble(double value);
 uint16_t bfloatFromDouble(double value);
 double doubleFromHalf(uint16_t bits);
 double doubleFromBfloat(uint16_t bits);
 
-/// Appends the functions of LibraryCalls.cpp, such as conversions of these
-/// types.
+/// Appends the functions of LibraryCalls.cpp, such as conversions of 16-bit
+/// floats, to the symbols of compiled code.
 void appendLibraryCalls(std::vector<RuntimeSymbol> &symbols);
 
-/// Sets `step` to the stride of elements along an index with these layout
-/// levels; false if the stride is not uniform.
+/// Sets `step` to the stride in bytes of elements along an index with these
+/// layout levels; false if the stride is not uniform.
 bool findConstantStep(const std::vector<LayoutLevel> &levels, int64_t &step);
 
-/// The stride of elements in row-major order; 0 if it is not uniform. For a
-/// single element, its size.
+/// The stride in bytes of elements in row-major order; 0 if the stride is not
+/// uniform. For a single element, its size.
 int64_t findEvenStep(const FieldLayout &layout,
                      const std::vector<int64_t> &shape, int64_t elementBytes);
 

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Names, adjoint and dual fields, and memory. Handles remain safe to use after
-// a tree is destroyed; operations then fail.
+// Owns the trees and fields of a runtime: names, adjoint and dual fields, and
+// memory. Handles remain safe to use after a tree is destroyed; operations then
+// fail.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,7 +35,7 @@ struct FieldInfo {
 class TreeMirrors {
 public:
   virtual ~TreeMirrors() = default;
-  /// Fails if a sparse tree cannot be on the device.
+  /// Fails if the device cannot hold a sparse tree with these levels.
   virtual Status check(const std::string &name, int64_t bytes,
                        const std::vector<SparseInfo> &levels) const = 0;
   /// Makes the memory of a tree on the device; null if there is no device.
@@ -55,8 +56,8 @@ public:
   /// parents before children.
   Status addTree(std::string name, int64_t bytes, TreePtr &tree,
                  std::vector<SparseInfo> sparse = {});
-  /// With `isClosing`, new launches can no longer use the tree; without, they
-  /// can again.
+  /// With `isClosing`, new launches can no longer use the tree; without it,
+  /// they can again.
   void setClosing(Tree &tree, bool isClosing);
   /// Frees the memory of the tree of this name, and removes its fields.
   Status destroyTree(const std::string &name);
@@ -70,12 +71,12 @@ public:
   FieldPtr firstOf(const Tree &tree) const;
 
   Status addField(FieldInfo info, FieldPtr &field);
-  /// Replaces the adjoint of a field.
+  /// Sets or replaces the adjoint field of a field.
   Status setAdjoint(Field &field, const FieldPtr &adjoint);
   FieldPtr findField(const std::string &name) const;
   const std::vector<FieldPtr> &fields() const { return fieldList; }
-  /// The field for messages: "field 'x'", or, for a gradient, a description by
-  /// the field that it belongs to. Thread-safe.
+  /// Describes a field for messages: "field 'x'", or, for a gradient, a
+  /// description by the field that it belongs to. Thread-safe.
   std::string describe(const Field &field) const;
   /// True if the field is the adjoint or tangent of another field.
   bool isPartner(const Field &field) const;
@@ -108,7 +109,7 @@ private:
   mutable std::mutex fieldsMutex;
 };
 
-/// Bytes of the active elements of a field.
+/// The bytes of the active elements of a field.
 int64_t bytesInUse(const Field &field);
 
 /// The skips and their counters, as a text table.

@@ -16,7 +16,7 @@ namespace mlir::tai::runtime {
 /// needs.
 struct HostModule {
   std::function<Kernel *(std::string_view name)> findKernel;
-  /// Whether the program itself loads or stores elements of fields, which must
+  /// True if the program itself loads or stores elements of fields, which must
   /// then be current on the host while the program runs.
   bool usesTrees = true;
 };
@@ -28,7 +28,7 @@ Status runHost(Runtime &runtime, TaiKernelFn function,
 
 /// Runs `region` under a tape, and compares the gradient of `loss` by each
 /// field of `wrt` with central differences along random directions. Afterwards
-/// all fields are as the first run and its sweep left them.
+/// all fields hold the values that the first run and its sweep left.
 Status checkGradient(Runtime &runtime, const FieldPtr &loss,
                      const std::vector<FieldPtr> &wrt, double tolerance,
                      std::function<Status()> region);

@@ -52,25 +52,27 @@ public:
   //===--------------------------------------------------------------------===//
 
   /// Stops recording. May be called twice. `isSwept`: backward() follows, so
-  /// that a device may run the recording and the sweep as one sequence.
+  /// that a device may run the recording and the reverse sweep as one sequence.
   void end(bool isSwept = false);
   bool recording() const;
-  /// Releases the held fields. Sweeps do so at their end.
+  /// Releases the fields that the tape holds against other threads. Reverse
+  /// sweeps do so at their end.
   void releaseFields();
   /// Sets to zero the gradients that the reverse sweep adds to, and all other
   /// gradients that the calling thread has written.
   Status clearGradients();
 
-  /// Launches between suspend() and resume() are not recorded. Pairs nest.
+  /// Suspend recording, and resume it: launches in between are not recorded.
+  /// Calls nest.
   void suspend();
   Status resume();
   bool isSuspended() const override;
 
   void recordCallback(TapeCallback callback);
 
-  /// noteArrayCopy: the next launch gets a copy, at `address`, of an array of
-  /// the host. noteArrayWrite: the host has changed an array since the last
-  /// record.
+  /// Tell the tape of changes to arrays of the host. noteArrayCopy: the next
+  /// launch gets a copy, at `address`, of an array of the host. noteArrayWrite:
+  /// the host has changed an array since the last record.
   void noteArrayCopy(uint64_t address, const ArrayRange &array);
   void noteArrayWrite(const ArrayRange &array);
 
@@ -87,23 +89,25 @@ public:
   /// is recorded.
   Status want(const std::vector<FieldPtr> &fields);
 
-  /// Sets the checkpoint policy. Must be called before anything is recorded.
+  /// Sets the checkpoint policy of the tape. Must be called before anything is
+  /// recorded.
   Status setCheckpoints(CheckpointPolicy policy);
 
   /// From now on, checks that launches follow the data access rules. Keeps the
   /// first `limit` violations; with `racesOnly`, only races.
   void checkAccesses(int64_t limit, bool racesOnly);
-  /// The checker with the violations found; null if accesses are not checked.
+  /// The checker with the violations of the data access rules; null if accesses
+  /// are not checked.
   const AccessChecks *accessChecks() const;
 
   //===--------------------------------------------------------------------===//
   // Replay
   //===--------------------------------------------------------------------===//
 
-  /// Seeds the adjoints of the losses and runs the adjoints in reverse. Ends
-  /// recording first. Fails if an adjoint would read a value that has been
-  /// changed since the last launch of the sequence. Primal fields hold the same
-  /// values before and after.
+  /// The reverse sweep: ends recording, seeds the adjoints of the losses, and
+  /// runs the adjoints in reverse. Fails if an adjoint would read a value that
+  /// has been changed since the last launch of the sequence. Primal fields hold
+  /// the same values before and after.
   Status backward();
 
   /// `forward`: runs the recorded launches again on the current contents of the
@@ -130,7 +134,8 @@ public:
   /// compiled, so that the caller can compile them together before the sweep.
   /// `cleared`: gradients are cleared before the sweep, as in a replay.
   std::vector<PendingAdjoint> pendingAdjoints(bool cleared = false);
-  /// One line for each record: replayed or skipped, and why.
+  /// Describes the last sweep, one line for each record: replayed or skipped,
+  /// and why.
   const std::string &explain();
   TapeStats stats() const;
   std::vector<FieldOverwrite> overwrites() const;
@@ -151,15 +156,16 @@ public:
                 uint64_t *results, uint64_t number) override;
   /// Performs a write of the host, and records it.
   Status write(const HostWrite &write) override;
-  /// Call before the host activates cells of the tree.
+  /// Notes the activity of the tree's cells. Must be called before the host
+  /// activates cells of the tree.
   void watch(const TreePtr &tree) override;
   /// Runs `change`, which changes the activity of a tree, and records it.
   Status changeActivity(const TreePtr &tree,
                         std::function<Status()> change) override;
-  /// Whether the gradient needs the present values of `field`. With checkpoints
+  /// True if the gradient needs the present values of `field`. With checkpoints
   /// it needs all values that launches read, because sweeps run launches again.
   bool needsValues(const Field &field) const override;
-  /// Whether the tape holds `field`, or has held it.
+  /// True if the tape holds `field`, or has held it.
   bool uses(const FieldPtr &field) const override;
   /// While the reverse sweep runs a host function backwards: finds the cells
   /// that the loops of `kernel` visited when that function launched it.
@@ -171,8 +177,9 @@ private:
 
   Status adopt(Kernel &kernel);
   Status findUses(Kernel &kernel, const void *&uses);
-  /// Runs the body. If memory runs out in the body, the tape becomes unusable,
-  /// because its records may lack some of their values; later calls say so.
+  /// Runs `body`, a part of the recording. If memory runs out in it, the tape
+  /// becomes unusable, because its records may lack some of their values; later
+  /// calls say so.
   template <typename Body> Status unlessSpoilt(const Body &body);
   Status record(Launch &launch, Kernel &kernel, const uint64_t *args,
                 uint64_t *results, uint64_t number);

@@ -17,7 +17,7 @@ namespace mlir::tai::runtime {
 class Field;
 class Kernel;
 
-/// A host function in the recorded sequence.
+/// A host function in the sequence that a tape has recorded.
 struct TapeCallback {
   /// The function that a replay of the tape calls instead of the recorded
   /// function; may be empty.
@@ -28,14 +28,14 @@ struct TapeCallback {
 
 /// Memory statistics of a tape.
 struct TapeStats {
-  /// Bytes of saved values: now, and the largest number so far.
+  /// The bytes of saved values: now, and the largest number so far.
   int64_t savedBytes = 0;
   int64_t peakBytes = 0;
-  /// With a checkpoint policy. snapshots, snapshotBytes: the maximum number of
-  /// snapshots and the bytes of the largest snapshot. recomputed: the number of
-  /// records run again in all sweeps. optimum: the least number of such runs
-  /// for one sweep with as many snapshots if the number of records had been
-  /// known in advance (binomial formula).
+  /// Statistics of a tape with a checkpoint policy. snapshots, snapshotBytes:
+  /// the maximum number of snapshots and the bytes of the largest snapshot.
+  /// recomputed: the number of records run again in all sweeps. optimum: the
+  /// least number of such runs for one sweep with as many snapshots if the
+  /// number of records had been known in advance (binomial formula).
   int64_t snapshots = 0;
   int64_t snapshotBytes = 0;
   int64_t recomputed = 0;
@@ -51,34 +51,34 @@ struct CheckpointPolicy {
     Mixed     // Periodic where the values between two snapshots fit
   };
   Kind kind = Kind::None;
-  /// Maximum number of snapshots; 0 means about the square root of the number
-  /// of records.
+  /// The maximum number of snapshots; 0 means about the square root of the
+  /// number of records.
   int64_t snapshots = 0;
-  /// Maximum of bytes in snapshots and saved values; 0 means no limit.
+  /// The most bytes in snapshots and saved values; 0 means no limit.
   int64_t budget = 0;
 };
 
 /// An adjoint that a sweep will launch and that has not been compiled.
 struct PendingAdjoint {
   Kernel *kernel;
-  /// Whether it is the zeroing variant, which zeroes the adjoints of the
-  /// elements that the kernel overwrites.
+  /// True for the zeroing variant, which zeroes the adjoints of the elements
+  /// that the kernel overwrites.
   bool zeroes;
-  /// Whether it is the variant that loads outputs stored by the kernel.
+  /// True for the variant that loads outputs stored by the kernel.
   bool loadsStored;
 
   bool operator==(const PendingAdjoint &other) const {
     return kernel == other.kernel && zeroes == other.zeroes &&
            loadsStored == other.loadsStored;
   }
-  /// Compiles the adjoint now. Thread-safe.
+  /// Compiles the pending adjoint. Thread-safe.
   Status resolve() const;
 };
 
 /// Statistics of an adjoint field, taken after the adjoint of a record has
-/// added to it. If the record accesses the field with a fixed index, only of
-/// the slab at this index. For a host function, there is an entry for each
-/// adjoint field that may be non-zero.
+/// added to it. If the record accesses the field with a fixed index, only
+/// elements at this index count. For a host function, there are statistics of
+/// each adjoint field that may be non-zero.
 struct RecordHealth {
   int64_t record;
   const Field *field;

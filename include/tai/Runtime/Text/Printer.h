@@ -17,8 +17,9 @@ namespace mlir::tai::runtime {
 /// Prints lines of kernels atomically. Thread-safe.
 class Printer {
 public:
-  /// Called with one complete line, including its newline, or with the part of
-  /// a line that a print without a newline gives.
+  /// The type of the receiver of printed text. It is called with one complete
+  /// line, including its newline, or with the part of a line that a print
+  /// without a newline gives.
   using Sink = std::function<void(std::string_view line)>;
 
   /// Sets the receiver of printed lines; an empty function means standard

@@ -24,8 +24,8 @@ inline int64_t fixedParts(int64_t n, double cost) {
   return std::min(n, std::clamp<int64_t>(total / partNs, 1, mostParts));
 }
 
-/// The first iteration of part `part` of `parts` of `n` iterations:
-/// n * part / parts, without overflow.
+/// The first iteration of part number `part`, if `n` iterations are divided
+/// into `parts` parts: n * part / parts, without overflow.
 inline int64_t boundOf(int64_t n, int64_t part, int64_t parts) {
   return n / parts * part + n % parts * part / parts;
 }

@@ -14,7 +14,7 @@
 
 namespace mlir::tai::runtime {
 
-/// Tells the processor that its thread spins.
+/// Tells the processor that this thread is spinning.
 inline void pauseCpu() {
 #if defined(__x86_64__) || defined(__i386__)
   __builtin_ia32_pause();
@@ -31,7 +31,8 @@ class PollPause {
 public:
   using Duration = std::chrono::steady_clock::duration;
 
-  /// The time to sleep in a wait that has taken `waited`; zero to spin.
+  /// The time to sleep in a wait for a device that has taken `waited`; zero to
+  /// spin.
   static Duration sleepAfter(Duration waited) {
     using namespace std::chrono_literals;
     constexpr Duration spinFor = 20ms, longest = 5ms;

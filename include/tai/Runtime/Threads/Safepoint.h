@@ -28,7 +28,8 @@
 #include <mutex>
 
 extern "C" {
-/// The number of ticks so far. A symbol of the ABI: compiled code reads it.
+/// The number of clock ticks so far. A symbol of the ABI, which compiled code
+/// reads.
 extern std::atomic<uint64_t> tai_rt_tick;
 }
 
@@ -47,8 +48,8 @@ inline uint64_t now() { return tai_rt_tick.load(std::memory_order_relaxed); }
 /// handler.
 inline void request() { tai_rt_tick.fetch_add(1, std::memory_order_relaxed); }
 
-/// A safepoint: calls the handler. Returns false if the work of this thread
-/// must stop.
+/// Passes a safepoint: calls the host's handler. Returns false if the work of
+/// this thread must stop.
 bool look();
 
 /// The number of handler calls that are active on this thread, one within
@@ -56,7 +57,7 @@ bool look();
 unsigned handlerDepth();
 /// The number of handlers that run on any thread.
 extern std::atomic<unsigned> runningHandlers;
-/// Whether this thread runs a handler; one load while no thread runs one.
+/// True if this thread runs a handler; costs one load while no thread runs one.
 inline bool isInHandler() {
   return __builtin_expect(runningHandlers.load(std::memory_order_relaxed) != 0,
                           false) &&
@@ -73,7 +74,7 @@ public:
   Unstoppable(const Unstoppable &) = delete;
   Unstoppable &operator=(const Unstoppable &) = delete;
 
-  /// Whether the host has asked to stop the work of the innermost Unstoppable.
+  /// True if the host has asked to stop the work of the innermost Unstoppable.
   /// A wait for a kernel can then end the kernel.
   static bool wasAsked();
 };
@@ -111,7 +112,8 @@ bool wait(std::condition_variable &changed, std::unique_lock<std::mutex> &lock,
 }
 
 /// Locks a mutex that another thread may hold for long, with safepoints in
-/// between, so that the host can let the owner run. Cannot be interrupted.
+/// between, so that the host can let the owner of the mutex run. Cannot be
+/// interrupted.
 template <typename Mutex> void lock(Mutex &mutex) {
   if (mutex.try_lock())
     return;
@@ -119,9 +121,9 @@ template <typename Mutex> void lock(Mutex &mutex) {
     (void)look();
 }
 
-/// A scoped `lock`. Use it for every mutex that is held across safepoints: a
-/// thread that blocked on such a mutex would keep the host's own lock, for
-/// which the owner of the mutex may wait.
+/// Holds a mutex for its lifetime, locked by `lock`. Must be used for every
+/// mutex that is held across safepoints: a thread that blocked on such a mutex
+/// would keep the host's own lock, for which the owner of the mutex may wait.
 template <typename Mutex> class Guard {
 public:
   explicit Guard(Mutex &mutex) : mutex(mutex) { safepoint::lock(mutex); }
@@ -133,14 +135,14 @@ private:
   Mutex &mutex;
 };
 
-/// Stops the clock permanently, before the process exits.
+/// Stops the tick clock permanently, before the process exits.
 void stopClock();
 
 /// Marks the calling thread as a worker, whose safepoints never call the
 /// handler.
 void enterWorker();
 /// Makes the safepoints of the calling thread check the flag instead of calling
-/// the handler: the work of the thread stops once the flag is set.
+/// the host's handler: the work of the thread stops once the flag is set.
 void follow(const std::atomic<bool> *isCancelled);
 bool isWorker();
 

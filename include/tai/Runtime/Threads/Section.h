@@ -22,8 +22,8 @@
 
 namespace mlir::tai::runtime {
 
-/// The failure of a call from a handler that has interrupted work which the
-/// call needs to be complete.
+/// The failure of a call made by a handler that has interrupted work, where the
+/// call needs this work to be complete.
 Status failAsInterruptedWork();
 
 /// The failure of work that the host has interrupted.
@@ -39,8 +39,8 @@ template <typename Work>
 Status runInPieces(int64_t count, int64_t piece, bool canStop,
                    const Work &work) {
   Watch watch;
-  // The clock of safepoints possibly stands still; this first safepoint starts
-  // it.
+  // Passes a first safepoint if there are several pieces, because the clock of
+  // safepoints possibly stands still, and a safepoint starts it.
   bool goesOn = count < 2 * piece || look();
   for (int64_t first = 0; first < count; first += piece) {
     if (first > 0 && goesOn)
@@ -57,8 +57,8 @@ Status runInPieces(int64_t count, int64_t piece, bool canStop,
 
 class Section {
 public:
-  /// Locks the section for its lifetime. A call that is a part of the work can
-  /// lock the section again.
+  /// Locks the section for its lifetime. A call that is a part of the locked
+  /// work can lock the section again.
   class Entry {
   public:
     explicit Entry(Section &section)
@@ -75,7 +75,8 @@ public:
     Entry(const Entry &) = delete;
     Entry &operator=(const Entry &) = delete;
 
-    /// Whether a handler has interrupted work of this section on this thread.
+    /// True if a handler, which was called at a safepoint within work of this
+    /// section, runs on this thread and locks the section again.
     bool isAgain() const { return again; }
     /// Fails if isAgain().
     Status check() const {
@@ -91,8 +92,9 @@ public:
 
 private:
   std::recursive_timed_mutex mutex;
-  /// Guarded by the mutex. entries: the number of Entry objects that exist.
-  /// depth: the number of handlers around the one that was made last.
+  /// Both are guarded by the mutex of the section. entries: the number of Entry
+  /// objects that exist. depth: the number of handlers around the one that was
+  /// made last.
   unsigned entries = 0, depth = 0;
 };
 

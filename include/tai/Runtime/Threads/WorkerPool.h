@@ -78,7 +78,8 @@ private:
   static void *workerMain(void *argument);
   void workerLoop(int self);
   void work(int self);
-  /// Waits for a job newer than `seen`; false if the pool is closing.
+  /// Waits, as a worker, for a job newer than `seen`; false if the pool is
+  /// closing.
   bool awaitJob(uint32_t &seen);
 
   int numThreads;

@@ -35,11 +35,11 @@ public:
   int threads() const { return numThreads; }
   void setThreads(int threads);
 
-  /// The number of partitions of a loop of `n` iterations of `cost` nanoseconds
-  /// each, estimated by the compiler or measured.
+  /// The number of partitions for a loop of `n` iterations of `cost`
+  /// nanoseconds each, estimated by the compiler or measured.
   int64_t partition(int64_t n, double cost, bool reduces);
-  /// Nanoseconds below which a fork is not worth it even if workers are
-  /// spinning.
+  /// The nanoseconds of work below which a fork is not worth it even if workers
+  /// are spinning.
   static constexpr int64_t leastNs = 4000;
   /// The number of parts for work on `bytes` bytes with `bytesPerPart` or more
   /// in each part; at most two parts for each thread.

@@ -16,10 +16,11 @@ class Pass;
 
 namespace mlir::tai {
 
-/// Widens all float arithmetic of a kernel with `precision` in its modes to
-/// that precision; wider types are kept. Loaded values are widened at once, and
-/// stored values are rounded once; explicit casts to narrower types still
-/// round. Runs before differentiation, so that adjoints use the same precision.
+/// Creates the pass that widens all float arithmetic of a kernel with
+/// `precision` in its modes to that precision; wider types are kept. Loaded
+/// values are widened at once, and stored values are rounded once; explicit
+/// casts to narrower types still round. The pass runs before differentiation,
+/// so that adjoints use the same precision.
 std::unique_ptr<Pass> createWidenArithmetic();
 
 /// Registers `tai-widen-arithmetic` by name.

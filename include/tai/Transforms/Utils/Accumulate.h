@@ -13,23 +13,24 @@
 
 namespace mlir::tai {
 
-/// On tai.parallel_for: the LLVM access group of its accesses.
+/// On tai.parallel_for: the LLVM access group of the loop's memory accesses.
 constexpr llvm::StringLiteral kAccessGroupAttrName = "tai.access_group";
 
 /// If the loop has a fixed order, emits an error and fails at a float addition
 /// to memory that several iterations may reach in any order.
 LogicalResult checkOrderIsFixed(ParallelForOp loop);
 
-/// a (kind) b, for scalars or vectors of them.
+/// Emits the combination of `a` and `b` by an update of the given kind, such as
+/// their sum, for scalars or vectors.
 Value emitCombination(OpBuilder &builder, Location loc, AtomicKind kind,
                       Value a, Value b);
 
-/// A read-modify-write of memory that no other thread accesses. Returns the old
-/// value.
+/// Emits a read-modify-write of memory that no other thread accesses, without
+/// an atomic operation. Returns the old value.
 Value emitPlainUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
                       Value value, Value pointer, AliasScopes scopes);
 
-/// A read-modify-write of memory by one atomic operation. Returns the old
+/// Emits a read-modify-write of memory by one atomic operation. Returns the old
 /// value.
 Value emitAtomicUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
                        Value value, Value pointer, AliasScopes scopes);

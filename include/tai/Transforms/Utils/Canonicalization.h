@@ -20,7 +20,7 @@ namespace mlir::tai {
 /// `memref.dim` and reads the shape at a negative dimension, which is only
 /// undefined where it is executed. No pass here makes a `gpu.alloc`.
 inline llvm::ArrayRef<std::string> getBrokenPatterns() {
-  // As Clang and as GCC write the type.
+  // The name of the pattern's type as Clang and as GCC write it.
   static const std::string names[] = {
       "(anonymous namespace)::SimplifyDimOfAllocOp",
       "{anonymous}::SimplifyDimOfAllocOp"};

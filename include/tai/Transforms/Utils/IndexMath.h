@@ -28,7 +28,7 @@ public:
     return arith::ConstantIndexOp::create(builder, loc, value);
   }
 
-  /// a + b for numbers whose sum is in range.
+  /// Emits a + b for numbers whose sum is known to be in range.
   Value add(Value a, Value b) {
     std::optional<int64_t> x = getConstantIntValue(a);
     std::optional<int64_t> y = getConstantIntValue(b);
@@ -65,7 +65,7 @@ public:
   }
   Value mul(Value a, int64_t b) { return b == 1 ? a : mul(a, constant(b)); }
 
-  /// a / b and a % b for numbers that are not negative.
+  /// Emits a / b or a % b for numbers that are not negative.
   Value div(Value a, Value b) {
     std::optional<int64_t> x = getConstantIntValue(a);
     std::optional<int64_t> y = getConstantIntValue(b);
@@ -103,7 +103,7 @@ public:
     return arith::MaxSIOp::create(builder, loc, a, b);
   }
 
-  /// The number of steps from `lower` to `upper`, never negative.
+  /// Emits the number of steps of one from `lower` to `upper`, never negative.
   Value extent(Value lower, Value upper) {
     return max(sub(upper, lower), constant(0));
   }

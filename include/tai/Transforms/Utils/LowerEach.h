@@ -18,13 +18,14 @@
 
 namespace mlir::tai {
 
-/// Rewrites each of the ops by its pattern, in this order. Fails at the first
-/// op without a pattern, or whose pattern fails (after an error).
+/// Rewrites each of the ops by the pattern for its kind, in this order. Fails
+/// at the first op without a pattern, or whose pattern fails (after an error).
 LogicalResult lowerEach(ArrayRef<Operation *> ops,
                         const FrozenRewritePatternSet &patterns);
 
 /// Rewrites all ops in `root` that have a pattern and for which `filter`, if
-/// given, is true, in the order of a walk. Fails like lowerEach.
+/// given, is true, in the order of a walk. Fails at the first op whose pattern
+/// fails.
 LogicalResult lowerAll(Operation *root, const FrozenRewritePatternSet &patterns,
                        llvm::function_ref<bool(Operation *)> filter = nullptr);
 

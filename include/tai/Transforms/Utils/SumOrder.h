@@ -31,19 +31,21 @@ struct SumOrder {
   static constexpr int64_t kGroups = 4;
 };
 
-/// The type of the lanes of a sum of values of `type`.
+/// The type of the 256 partial sums (lanes) of a sum of values of `type`.
 Type getLaneType(AtomicKind kind, Type type);
 
-/// The initial value of the lanes: adding it changes no number, not even -0.
+/// The initial value of the lanes (partial sums): adding it changes no number,
+/// not even -0.
 TypedAttr getLaneStart(AtomicKind kind, Type type);
 
-/// The number of iterations in a chunk, for `iterations` >= 0 in all.
+/// The number of iterations in a chunk of a sum over `iterations` >= 0
+/// iterations.
 int64_t getChunkLength(int64_t iterations);
 Value emitChunkLength(OpBuilder &builder, Location loc, Value iterations);
 
-/// Adds up lanes in place until only the groups `first`, `first` + `step` and
-/// so on are left: 0 and 1 for all groups.
-/// `scopes` is for the accesses to lanes.
+/// Adds up the lanes (partial sums of a chunk) in place until only the groups
+/// `first`, `first` + `step` and so on are left: 0 and 1 for all groups.
+/// `scopes` is for the memory accesses to lanes.
 void emitLaneTree(OpBuilder &builder, Location loc, AtomicKind kind, Type type,
                   Value lanes, Value first, int64_t step,
                   const AliasScopes &scopes = {});

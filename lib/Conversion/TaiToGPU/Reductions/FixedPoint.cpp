@@ -30,7 +30,7 @@ struct Accumulators : ScatterBuffer {
   Value scales;
 
   int64_t getNumIntegers() const { return field->scalarType.isF64() ? 2 : 1; }
-  /// Whether the field has 16-bit floats, which are added up as f32.
+  /// True if the field has 16-bit floats, which are added up as f32.
   bool isOfHalves() const {
     return field->scalarType.getIntOrFloatBitWidth() == 16;
   }
@@ -63,7 +63,7 @@ private:
 };
 } // namespace
 
-/// True for memory that is private to one iteration.
+/// True for memory that is private to one iteration of the loop.
 static bool isPrivate(ParallelForOp loop, Value pointer) {
   while (auto element = pointer.getDefiningOp<LLVM::GEPOp>())
     pointer = element.getBase();
@@ -87,7 +87,8 @@ static bool isSeen(ParallelForOp loop, Operation *op) {
   return isa<AtomicOp, AssertOp, LLVM::AtomicCmpXchgOp>(op);
 }
 
-/// Removes the ops with visible effects but keeps their operands.
+/// Removes the ops with visible effects from a copy of the loop, but keeps
+/// their operands.
 static void removeEffects(ParallelForOp loop) {
   SmallVector<Operation *> seen;
   loop.getBody().walk([&](Operation *op) {
@@ -125,7 +126,7 @@ Accumulators Splitter::create(const AccumulationGroup &group) {
   return made;
 }
 
-/// Adds a sum to its element.
+/// Emits the addition of a finished sum to its element.
 void Splitter::emitSum(OpBuilder &builder, const Accumulators &from,
                        Value number, Value element) {
   Location loc = loop.getLoc();
@@ -137,8 +138,8 @@ void Splitter::emitSum(OpBuilder &builder, const Accumulators &from,
   emitRoundedAddition(builder, loc, from.field->scalarType, sum, element);
 }
 
-/// Emits a call of the device library for `pass`. `operand`: the term, or the
-/// address of the element.
+/// Emits a call of the device library's function for `pass`. `operand`: the
+/// term, or the address of the element.
 Value Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
                          const Accumulators &to, Value number, Value operand) {
   IndexMath math(builder, loc);
@@ -200,8 +201,8 @@ bool Splitter::hasEffects() {
       .wasInterrupted();
 }
 
-/// True if a loop over the elements adds the sums: there are few elements
-/// compared with the additions, or the field has 16-bit floats.
+/// True if a loop over the elements adds the finished sums: there are few
+/// elements compared with the additions, or the field has 16-bit floats.
 bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups,
                                bool hasEffects) {
   if (llvm::any_of(all, [](const Accumulators &to) { return to.isOfHalves(); }))
@@ -214,8 +215,8 @@ bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups,
     for (AtomicOp atomic : group.atomics)
       updates += estimateRuns(atomic, loop);
   }
-  // The factor by which visiting an element in order is cheaper than visiting
-  // it by its index.
+  // The assumed factor by which visiting all elements in order is cheaper, for
+  // each element, than visiting them by computed indices.
   constexpr double isCheaper = 8, guessedIterations = 1 << 17;
   std::optional<int64_t> iterations = getNumIterations(loop);
   return elements <= isCheaper * updates *

@@ -74,7 +74,8 @@ void tai::emitElementLoop(
     function_ref<void(OpBuilder &, Value number, Value element)> emit) {
   const FieldInfo &field = *buffer.field;
   IndexMath around(outside, loc);
-  // Compute terms of addresses that all elements share once, before the loop.
+  // Terms of addresses that all elements share are computed once, before the
+  // loop.
   SmallVector<Value> zeroBased(field.layout.shape.size());
   for (auto [i, fixed] : llvm::enumerate(buffer.fixed))
     if (fixed)

@@ -19,7 +19,7 @@
 
 namespace mlir::tai {
 
-/// The buffer with the sums of one group of additions to a field.
+/// The buffer that holds the sums of one group of additions to a field.
 struct ScatterBuffer {
   explicit ScatterBuffer(const AccumulationGroup &group)
       : field(group.field), fixed(group.fixed),
@@ -29,8 +29,8 @@ struct ScatterBuffer {
   /// For each dimension of the field, the index that all additions share, or
   /// null.
   SmallVector<Value> fixed;
-  /// The number of sums: elements along dimensions without a shared index,
-  /// times components.
+  /// The number of sums in the buffer: elements along dimensions without a
+  /// shared index, times components.
   int64_t count;
   Value fieldBase, sums;
 };
@@ -43,20 +43,21 @@ LogicalResult splitBufferedLoops(
     LLVM::LLVMFuncOp host, ReductionForm form,
     function_ref<LogicalResult(ParallelForOp, ArrayRef<AtomicOp>)> split);
 
-/// The term of an addition, negated for a subtraction.
+/// Emits the term of an addition, negated for a subtraction.
 Value emitTerm(OpBuilder &builder, AtomicOp atomic);
 
-/// The number of the sum to which an addition goes.
+/// Emits the index, in the buffer, of the sum that an addition updates.
 Value emitSumNumber(OpBuilder &builder, AtomicOp atomic,
                     const ScatterBuffer &buffer);
 
-/// Emits a loop over the elements. `emit` gets the number of a sum and the
-/// address of its element.
+/// Emits a loop over the elements that the buffer has sums for. `emit` gets the
+/// number of a sum and the address of its element.
 void emitElementLoop(
     OpBuilder &builder, Location loc, const ScatterBuffer &buffer,
     function_ref<void(OpBuilder &, Value number, Value element)> emit);
 
-/// Adds an f64 sum to an element of a narrower type, rounding once.
+/// Emits the addition of an f64 sum to an element of a narrower type, rounding
+/// once.
 void emitRoundedAddition(OpBuilder &builder, Location loc, Type scalar,
                          Value sum, Value element);
 

@@ -115,7 +115,8 @@ static Value emitWideSum(ParallelForOp loop, Value frame, Type type,
                                     outside.constant(1));
   OpBuilder b = OpBuilder::atBlockBegin(&once.getBody().front());
   Value found = emitLoad(b, loc, wide, sum, AliasScopes());
-  // Reset the sum: a replay of the launch does not clear scratch memory.
+  // The sum is reset, because a replay of the launch does not clear scratch
+  // memory.
   emitStore(
       b, loc,
       arith::ConstantOp::create(b, loc, getIdentity(AtomicKind::Add, wide)),
@@ -237,7 +238,7 @@ SmallVector<Sum> tai::collectSums(ParallelForOp loop, FieldTable &fields) {
   return sums;
 }
 
-/// The function of the device library that reduces over a block, or "".
+/// Returns the function of the device library that reduces over a block, or "".
 static std::string getBlockFunction(AtomicKind kind, Type type) {
   bool isFloat = type.isF32() || type.isF64();
   if (!isFloat && !type.isInteger(32) && !type.isInteger(64))

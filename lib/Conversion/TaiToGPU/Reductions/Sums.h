@@ -13,7 +13,7 @@
 
 namespace mlir::tai {
 
-/// A sum over the iterations of a loop.
+/// A sum over all iterations of a device loop.
 struct Sum {
   SmallVector<Operation *> updates;
   AtomicKind kind;
@@ -24,14 +24,14 @@ struct Sum {
   /// partial sum.
   Value target;
   bool isPartial = false;
-  /// Whether blocks add to an f64, which a later loop adds to the f32 element.
+  /// True if blocks add to an f64, which a later loop adds to the f32 element.
   bool isWide = false;
   ArrayAttr scope;
   Value slot;
 };
 
-/// The number of threads that keep partial float sums in deterministic mode.
-/// Depends on the loop alone, not on the device.
+/// Returns the number of threads that keep partial float sums in deterministic
+/// mode. It depends on the loop alone, not on the device.
 int64_t getSumThreads(ParallelForOp loop);
 
 /// Collects the sums that prepareSums has numbered in the loop, and removes the

@@ -69,7 +69,7 @@ static bool isKnown(Operation *op) {
     return true;
   if (!llvm::all_of(op->getResultTypes(), canBeYielded))
     return false;
-  // Sums kept in registers are lowered later.
+  // Sums that the loop keeps in registers are lowered later.
   if (isa<AtomicOp>(op))
     return isDoneByLoop(op);
   if (isa<LLVM::LoadOp, LLVM::StoreOp, LLVM::AtomicRMWOp, LLVM::AtomicCmpXchgOp,
@@ -79,8 +79,9 @@ static bool isKnown(Operation *op) {
   return op->getNumRegions() == 0 && isMemoryEffectFree(op);
 }
 
-/// Whether all threads can reach the additions together. Earlier lowerings may
-/// have inserted code that prevents this, such as a bounds check that fails.
+/// True if all threads of the warp can reach the additions together. Earlier
+/// lowerings may have inserted code that prevents this, such as a bounds check
+/// that fails.
 static bool canComeTogether(ParallelForOp loop) {
   WalkResult result = loop.getBody().walk([](Operation *op) {
     return isKnown(op) ? WalkResult::advance() : WalkResult::interrupt();
@@ -89,7 +90,7 @@ static bool canComeTogether(ParallelForOp loop) {
 }
 
 void tai::prepareWarpLoop(ParallelForOp loop) {
-  // Compute equal addresses once, so that equal addresses are one value.
+  // Equal addresses are computed once, so that they are one value.
   IRRewriter rewriter(loop.getContext());
   DominanceInfo dominance(loop);
   eliminateCommonSubExpressions(rewriter, dominance, loop);
@@ -130,8 +131,8 @@ void tai::emitWarpBarrier(OpBuilder &builder, Location loc,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// An addition to the element `offset` bytes after `base`, which is null in
-/// threads that do not add.
+/// An addition to the element `offset` bytes after `base`, an address that is
+/// null in threads that do not add.
 struct Addition {
   Location loc;
   Value base;
@@ -161,9 +162,9 @@ private:
 
   Block *body;
   Value isActive;
-  /// Whether threads add to memory one after another.
+  /// True if threads add to memory one after another.
   bool inTurn;
-  /// Operations that threads without an iteration execute as well.
+  /// Operations that even threads without an iteration execute.
   llvm::DenseSet<Operation *> forAll;
   RuntimeCalls &runtime;
 };
@@ -176,7 +177,8 @@ static Value emitZero(OpBuilder &builder, Location loc, Type type) {
   return arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
 }
 
-/// The origin of an address, and the constant distance from it in bytes.
+/// Splits an address into an address that it is derived from, and the constant
+/// distance in bytes.
 static std::pair<Value, int64_t> splitAddress(Value address) {
   int64_t offset = 0;
   while (auto element = address.getDefiningOp<LLVM::GEPOp>()) {
@@ -200,8 +202,8 @@ static std::pair<Value, int64_t> splitAddress(Value address) {
   return {address, offset};
 }
 
-/// The key of an address; `distance` becomes the constant distance of the
-/// address from its varying parts.
+/// Returns the varying parts of an address as its key; `distance` becomes the
+/// constant distance of the address from these parts.
 AdditionOrder::Key AdditionOrder::getKey(Value base, int64_t &distance) {
   distance = 0;
   auto element = base.getDefiningOp<LLVM::GEPOp>();
@@ -243,7 +245,7 @@ SmallVector<Addition> AdditionOrder::takeFrom(Block *block) {
 }
 
 /// Makes the branch yield the terms of the additions in both of its arms, and
-/// returns the additions, now of these results.
+/// returns the additions, whose terms are these results from now on.
 SmallVector<Addition> AdditionOrder::takeOut(scf::IfOp &branch) {
   SmallVector<Addition> additions = takeFrom(branch.thenBlock());
   size_t numThen = additions.size();
@@ -410,7 +412,8 @@ void AdditionOrder::processPart(ArrayRef<Operation *> part) {
     op->moveBefore(active, active->end());
   OpBuilder end = OpBuilder::atBlockEnd(active);
   scf::YieldOp::create(end, loc, used);
-  // Yield zeros in threads without an iteration, which do not use the results.
+  // Threads without an iteration yield zeros, because they do not use the
+  // results.
   OpBuilder none = OpBuilder::atBlockEnd(branch.elseBlock());
   SmallVector<Value> zeros;
   for (Value value : used)
@@ -426,7 +429,7 @@ void AdditionOrder::processPart(ArrayRef<Operation *> part) {
     emit(builder, addition, plans);
 }
 
-/// Processes a block that all threads of the warp run.
+/// Processes a block that all threads of the warp run together.
 void AdditionOrder::process(Block *block) {
   SmallVector<SmallVector<Operation *>> parts(1);
   SmallVector<Operation *> together;

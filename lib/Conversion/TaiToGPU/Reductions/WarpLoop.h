@@ -19,24 +19,27 @@ constexpr int64_t kWarpSize = 32;
 /// memory, or a unit attribute if they are unknown.
 constexpr llvm::StringLiteral kOrderedScopeAttrName = "tai.ordered_scope";
 
-/// The share of a thread in a loop that tai-relax-atomics assigned to a warp.
+/// Describes the share of a thread in a loop that tai-relax-atomics assigned to
+/// a warp.
 struct WarpPart {
   /// The warp runs batches of iterations, which start at the iterations
   /// `first`, `first` + `step`, ...
   Value first, step;
-  /// An i1 value: whether this thread belongs to the warp that runs the loop.
+  /// An i1 value that is true if the current thread belongs to the warp that
+  /// runs the loop.
   Value isHere;
   /// The number of the thread in the warp; null where one thread runs all
   /// iterations, because threads might not reach the additions together.
   Value lane;
 };
 
-/// Simplifies the body of a warp's loop, so that its additions can be analysed.
+/// Simplifies the body of a loop that one warp runs, so that its additions can
+/// be analysed.
 void prepareWarpLoop(ParallelForOp loop);
 
-/// Distributes the `count` iterations of `loop` over the threads of a warp;
-/// call before the body of the loop is moved. `thread` is the number of this
-/// thread.
+/// Distributes the `count` iterations of `loop` over the threads of a warp.
+/// Must be called before the body of the loop is moved. `thread` is the number
+/// of this thread.
 WarpPart emitWarpPart(OpBuilder &builder, ParallelForOp loop, Value thread,
                       Value count, RuntimeCalls &runtime);
 

@@ -36,7 +36,8 @@ private:
 };
 } // namespace
 
-/// The number of f64 in a sum: f64 terms need a second one for the error.
+/// Returns the number of f64 in a sum: a sum of f64 terms needs a second one
+/// for the rounding error.
 static int64_t getNumParts(const ScatterBuffer &buffer) {
   return buffer.field->scalarType.isF64() ? 2 : 1;
 }
@@ -63,7 +64,8 @@ void WideScatter::emitAddition(AtomicOp atomic, const ScatterBuffer &to) {
   atomic.erase();
 }
 
-/// Adds a sum to its element and resets the sum to zero for a replay.
+/// Emits the addition of a sum to its element, and resets the sum to zero for a
+/// replay.
 void WideScatter::emitResult(OpBuilder &builder, const ScatterBuffer &from,
                              Value number, Value element) {
   Location loc = loop.getLoc();

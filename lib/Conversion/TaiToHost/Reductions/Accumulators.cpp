@@ -100,8 +100,8 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
   }
   if (buffers.empty())
     return parts;
-  // A partition costs time for each of its elements, and saves time for each of
-  // its updates.
+  // An additional partition costs time for each element of its buffer, and
+  // saves time for each of its updates.
   double partsPerCount =
       updates * iterationsPerCount * kElementsPerUpdate / elements;
   RuntimeCalls &runtime = lowering->runtime;
@@ -119,7 +119,7 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
   return arith::MinSIOp::create(builder, loc, parts, limit);
 }
 
-/// The first slot of the partial sum of register `i`.
+/// Returns the first slot of the partial sum for register sum `i`.
 int64_t Accumulators::getPartialSlot(size_t i) const {
   int64_t slot = 0;
   for (const Register &sum : ArrayRef(registers).take_front(i))
@@ -160,7 +160,7 @@ void Accumulators::emitBefore(OpBuilder &builder, Location loc, Value frame,
     buffer.emitBefore(builder, loc, *lowering, frame, parts, single);
 }
 
-/// Adds the sum of all iterations to its element.
+/// Emits the addition of the sum over all iterations to its element.
 void Accumulators::emitTotal(OpBuilder &builder, Location loc,
                              const Register &sum, ValueRange total) {
   Value address = sum.address;
@@ -279,7 +279,8 @@ static void moveBehindBranches(Operation *update, OpOperand &updated,
       Value value = updated.get();
       if (!region->isAncestor(update->getParentRegion())) {
         builder.setInsertionPoint(yield);
-        // Add -0 where the branch is not taken: x + -0 is x, also for x = -0.
+        // Where the branch is not taken, -0 is added: x + -0 is x, also for x =
+        // -0.
         TypedAttr nothing = getIdentity(kind, type);
         if (kind == AtomicKind::Add && isa<FloatType>(type))
           nothing = builder.getFloatAttr(type, -0.0);

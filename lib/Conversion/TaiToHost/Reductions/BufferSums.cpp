@@ -66,8 +66,8 @@ Value BufferSums::emitTarget(OpBuilder &builder, Location loc) {
   for (const IndexDigit &digit : field.storage.digits) {
     if (!slice.fixed[digit.dimension] || digit.extent == 1)
       continue;
-    // Only the digit's own dimension needs an index: emitDigit uses no other
-    // here.
+    // Only the index of the digit's own dimension is needed here, since
+    // emitDigit uses no other index.
     SmallVector<Value> zeroBased(field.layout.shape.size());
     zeroBased[digit.dimension] = math.sub(group.fixed[digit.dimension],
                                           field.layout.offset[digit.dimension]);
@@ -90,7 +90,7 @@ void BufferSums::emitBefore(OpBuilder &builder, Location loc,
                                     runtime.i64(builder, loc, bytes), parts);
     return;
   }
-  // A single partition adds to the field itself.
+  // A single partition adds to the field itself instead of to a buffer.
   auto choice = scf::IfOp::create(builder, loc,
                                   TypeRange{runtime.getPointerType()}, single,
                                   /*addThenBlock=*/true, /*addElseBlock=*/true);

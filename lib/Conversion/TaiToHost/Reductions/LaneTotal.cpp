@@ -27,9 +27,10 @@ public:
       : TotalForm(sum), kind(sum.kind),
         type(getLaneType(sum.kind, sum.termType)) {}
 
-  /// A partition has no slots: chunks leave their sums in `groups`.
+  /// A partition needs no slots for partial sums: chunks leave their sums in
+  /// `groups`.
   unsigned getNumSlots() const override { return 0; }
-  /// Allocates memory for the groups of all chunks.
+  /// Emits the allocation of memory for the groups of all chunks.
   void emitBefore(OpBuilder &builder, Location loc) override;
   void emitEntry(OpBuilder &builder, Location loc) override;
   void emitTerm(OpBuilder &builder, Location loc, size_t number,
@@ -45,7 +46,7 @@ private:
   Value emitAddress(OpBuilder &builder, Location loc, Value base, Value index);
 
   AtomicKind kind;
-  /// The type of the lanes and of their sum.
+  /// The type of the lanes (partial sums) and of their total.
   Type type;
   Value groups, lanes;
 };

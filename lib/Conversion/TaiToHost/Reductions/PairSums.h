@@ -17,15 +17,17 @@
 
 namespace mlir::tai {
 
-/// A sum of f64 and the sum of its rounding errors, or vectors of these.
+/// A compensated sum: a sum of f64 and the sum of its rounding errors, or
+/// vectors of these.
 struct Pair {
   Value sum, rest;
 };
 
-/// Adds `x` to the pair (two-sum). The operations have no fast-math flags.
+/// Emits the addition of `x` to a compensated sum (two-sum). The operations
+/// have no fast-math flags.
 Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x);
 
-/// The sum of the pair's two numbers, rounded.
+/// Emits the value of a compensated sum: the sum of its two numbers, rounded.
 Value emitRounded(OpBuilder &builder, Location loc, Pair pair);
 
 } // namespace mlir::tai

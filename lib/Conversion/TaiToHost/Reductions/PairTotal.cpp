@@ -48,7 +48,7 @@ Pair tai::emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x) {
 }
 
 Value tai::emitRounded(OpBuilder &builder, Location loc, Pair pair) {
-  // An infinite sum has no rounding error.
+  // An infinite sum has no rounding error: its error term is NaN.
   Value isNone = arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::UNO,
                                        pair.rest, pair.rest);
   Value zero = arith::ConstantOp::create(
@@ -57,9 +57,10 @@ Value tai::emitRounded(OpBuilder &builder, Location loc, Pair pair) {
   return LLVM::FAddOp::create(builder, loc, pair.sum, rest);
 }
 
-/// Adds to pairs in lanes. Half of the operations are fused, for processors
-/// with separate units for additions and fused operations. The products by one
-/// and minus one are exact; LLVM does not see that these factors are constants.
+/// Emits additions to compensated sums in vector lanes. Half of the operations
+/// are fused, for processors with separate units for additions and fused
+/// operations. The products by one and minus one are exact; LLVM does not see
+/// that these factors are constants.
 static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x,
                         Value one, Value minusOne) {
   auto fused = [&](Value a, Value b, Value c) -> Value {
@@ -75,8 +76,8 @@ static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x,
 }
 
 namespace {
-/// A compensated sum, or pair, for each vector lane, and the terms of a block
-/// of iterations.
+/// Keeps a compensated sum for each vector lane, and the terms of a block of
+/// iterations.
 class PairLanes {
 public:
   /// Emitted at the entry of a function, for `updates` updates in each of the
@@ -89,7 +90,7 @@ public:
                 scf::ForOp loop, Value term);
   /// Emitted after the innermost loop: sums the terms of the block.
   void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
-  /// Emits the sum over all lanes, with its rounding error.
+  /// Emits the sum over all vector lanes, with its rounding error.
   Pair emitTotal(OpBuilder &builder, Location loc);
 
 private:
@@ -97,7 +98,8 @@ private:
   static constexpr int64_t kVectors = 2;
 
   VectorType type;
-  /// For each update, the buffer in which a block stores its terms.
+  /// For each update, the buffer in which a block of iterations stores its
+  /// terms.
   SmallVector<Value> terms;
   SmallVector<Value> sums, rests;
 };
@@ -122,13 +124,14 @@ public:
 
 private:
   Type type;
-  /// The sum, and the sum of its rounding errors.
+  /// Memory of the compensated sum: the sum, and the sum of its rounding
+  /// errors.
   Value slot, rest;
   std::optional<PairLanes> lanes;
 };
 } // namespace
 
-/// Allocates `count` vectors at the entry of the function.
+/// Emits the allocation of `count` vectors at the entry of the function.
 static Value emitRoom(OpBuilder &builder, Location loc, VectorType type,
                       int64_t count) {
   Value size = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(),
@@ -144,7 +147,7 @@ PairLanes::PairLanes(OpBuilder &builder, Location loc, size_t updates,
   auto function =
       cast<LLVM::LLVMFuncOp>(builder.getInsertionBlock()->getParentOp());
   OpBuilder entry = OpBuilder::atBlockBegin(&function.getBody().front());
-  // Allocate room for zeros after the last terms, which fill whole vectors.
+  // Room is allocated for zeros after the last terms, which fill whole vectors.
   for (size_t i = 0; i < updates; ++i)
     terms.push_back(emitRoom(entry, loc, type, block / kLanes + kVectors));
   Value zero =
@@ -279,7 +282,8 @@ SmallVector<Value> PairTotal::emitCombined(OpBuilder &builder, Location loc,
 
 void PairTotal::emitUpdate(OpBuilder &builder, Location loc, ValueRange total,
                            Value address, AliasScopes scopes) {
-  // Add the old value of the element to the pair, to round only once.
+  // The old value of the element is added to the compensated sum, so that the
+  // result is rounded only once.
   Value old = emitLoad(builder, loc, sum.termType, address, scopes);
   Pair next = emitPairSum(builder, loc, {total[0], total[1]}, old);
   emitStore(builder, loc, emitRounded(builder, loc, next), address, scopes);

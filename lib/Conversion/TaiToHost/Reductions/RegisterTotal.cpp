@@ -21,8 +21,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The type of partial sums: f32 for 16-bit floats, whose sums of equal terms
-/// stop growing at 2048 terms; f64 for sums with more digits.
+/// Returns the type of partial sums: f32 for 16-bit floats, whose sums of equal
+/// terms stop growing at 2048 terms; f64 for sums with more digits.
 static Type getSumType(const TotalUpdates &sum) {
   Type type = sum.termType;
   if (!isa<FloatType>(type) || sum.kind != AtomicKind::Add)
@@ -100,7 +100,8 @@ private:
   /// The type of a sum over a block, and of the total over blocks and
   /// partitions.
   Type type, totalType;
-  /// The sum of the block, and the total of earlier blocks.
+  /// Memory of the sum over a block of iterations, and of the total of earlier
+  /// blocks.
   Value slot, total;
 };
 } // namespace
@@ -161,8 +162,8 @@ void RegisterTotal::emitUpdate(OpBuilder &builder, Location loc,
     return void(emitPlainUpdate(
         builder, loc, sum.kind,
         emitNarrowed(builder, loc, result, sum.termType), address, scopes));
-  // Add the old value of the element in the wide type of the total, to round
-  // only once.
+  // The old value of the element is added in the wide type of the total, so
+  // that the result is rounded only once.
   Value old = emitLoad(builder, loc, sum.termType, address, scopes);
   Value next = LLVM::FAddOp::create(
       builder, loc, emitWidened(builder, loc, old, result.getType()), result);

@@ -64,8 +64,8 @@ void CheckDialect::initialize() {
 void tai::registerCheckDialect(DialectRegistry &registry) {
   registry.insert<CheckDialect>();
   registry.addExtension(+[](MLIRContext *context, TaiDialect *) {
-    // Load the check dialect with the tai dialect. This does nothing if the
-    // check dialect itself is loading the tai dialect.
+    // The check dialect is loaded with the tai dialect. This does nothing if
+    // the check dialect itself is loading the tai dialect.
     context->loadDialect<CheckDialect>();
   });
 }

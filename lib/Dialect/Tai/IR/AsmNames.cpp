@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A loaded value has the name of its field, a loop variable that of an index,
-// and each result of a decomposition its own.
+// Names of SSA values in assembly: a loaded value is named after its field, a
+// loop variable as an index, and each result of a decomposition by its role.
 //
 //===----------------------------------------------------------------------===//
 

@@ -21,11 +21,11 @@ using namespace mlir::tai;
 namespace {
 enum class Kind { Unit, Integer, Float, Symbol, List, Numbers, Register, Any };
 
-/// A discardable attribute that people write, or by which passes communicate.
+/// A discardable attribute that users write, or by which passes communicate.
 struct KnownAttr {
   StringLiteral name;
   Kind kind;
-  /// Whether only functions and kernels may have the attribute.
+  /// True if only functions and kernels may have the attribute.
   bool ofFunctions = false;
 };
 } // namespace
@@ -164,7 +164,8 @@ static LogicalResult verifyDifferentiate(Operation *op) {
   if (function.isExternal())
     return op->emitError("cannot differentiate '@")
            << function.getName() << "', which has no body here";
-  // The gradient's function may have been converted to another dialect since.
+  // The function of the gradient may have been converted to another dialect
+  // since.
   bool isDone = op->hasAttr("tai.adjoint") ||
                 isa_and_present<ArrayAttr>(op->getAttr("tai.split")) ||
                 op->hasAttr(getFunctionAttrName(op, "tangent"));

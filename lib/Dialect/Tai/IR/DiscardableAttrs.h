@@ -17,8 +17,9 @@ namespace mlir::tai {
 struct RenamedAttr {
   llvm::StringLiteral old, name;
 };
-/// Former names that users may have written. The parser of kernels maps an old
-/// name to the new name; elsewhere, the verifier rejects it.
+/// Lists former names of attributes that users may have written. The parser of
+/// kernels maps an old name to the new name; elsewhere, the verifier rejects
+/// it.
 llvm::ArrayRef<RenamedAttr> getRenamedKernelAttrs();
 
 /// Verifies a discardable attribute `tai.*` on an op of any dialect.

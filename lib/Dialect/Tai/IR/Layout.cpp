@@ -24,7 +24,7 @@ std::optional<unsigned> tai::parseAxisLetter(StringRef letter) {
 // Sizes
 //===----------------------------------------------------------------------===//
 
-/// The size of a component in bytes; an i1 takes one byte.
+/// Returns the size of a component in bytes; an i1 takes one byte.
 static uint64_t getScalarSize(Type type) {
   return llvm::divideCeil(type.getIntOrFloatBitWidth(), 8);
 }
@@ -107,7 +107,7 @@ uint64_t tai::getPlaceOffset(PlacesType places, unsigned index,
 /// not share a line.
 static constexpr uint64_t kCacheLine = 64;
 
-/// The total size of the cells of a tree.
+/// Returns the total size of the cells of a tree in bytes.
 static uint64_t getCellsSize(RootType root, const DataLayout &layout) {
   uint64_t size = 0;
   for (Type child : root.getChildren())
@@ -180,7 +180,8 @@ const PlaceIndex::Places &PlaceIndex::placesOf(RootType root) const {
       position.push_back(level.child);
     position.push_back(path.placesChild);
     position.push_back(path.place);
-    // The verifier rejects two places of the same name: keep the first.
+    // The verifier rejects two places of the same name, so the first one is
+    // kept.
     places->try_emplace(path.places.getNames()[path.place].getValue(),
                         std::move(position));
   });
@@ -215,7 +216,7 @@ std::optional<PlacePath> tai::findPlace(RootType root, StringRef name) {
 // Fields
 //===----------------------------------------------------------------------===//
 
-/// The child numbers on the path down to the innermost sparse level.
+/// The child numbers on the path down to the innermost sparse level of a place.
 static SmallVector<unsigned> getSparsePosition(const PlacePath &path) {
   SmallVector<unsigned> position;
   size_t count = 0;
@@ -286,8 +287,8 @@ int64_t SparseNode::getNumCells() const {
   return count;
 }
 
-/// Activity starts on a new page, so that the pages with cells can be returned
-/// to the system one by one.
+/// Activity data start on a new page, so that the pages with cells can be
+/// returned to the system one by one.
 static constexpr uint64_t kPage = 4096;
 
 static uint64_t getActivitySize(const SparseNode &node) {
@@ -297,7 +298,8 @@ static uint64_t getActivitySize(const SparseNode &node) {
   return llvm::alignTo(cells, 512) / 8;
 }
 
-/// Merges axes whose cells are contiguous into one step.
+/// Adds the steps of a level to a sparse level's address computation. Merges
+/// axes whose cells are contiguous into one step.
 void TreeLayout::addSteps(SNodeTypeInterface level, SparseNode &node) {
   size_t own = node.steps.size();
   for (auto [extent, stride] :

@@ -22,7 +22,8 @@ using namespace mlir::tai;
 static Value foldMarker(Operation *op, ArrayRef<Attribute> operands) {
   return llvm::TypeSwitch<Operation *, Value>(op)
       .Case([&](StopGradientOp stop) -> Value {
-        // A constant has no derivative, and neither has such a value.
+        // A marker is redundant on a constant, or on a value that has passed a
+        // marker, since neither has a derivative.
         if (operands[0] || stop.getValue().getDefiningOp<StopGradientOp>())
           return stop.getValue();
         return {};

@@ -47,7 +47,7 @@ struct AllocaModel
   }
 };
 
-/// A load or store of a whole local.
+/// The model, for mem2reg, of loads and stores of a whole local variable.
 template <typename Model, typename Op>
 struct AccessModel : PromotableMemOpInterface::ExternalModel<Model, Op> {
   bool loadsFrom(Operation *op, const MemorySlot &slot) const {

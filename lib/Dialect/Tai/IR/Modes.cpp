@@ -29,7 +29,8 @@ template <typename T> struct Word {
 };
 } // namespace
 
-// A kernel allocates no storage, so storage types are no precisions of kernels.
+// Types that exist only in storage, such as f16, are no precisions of kernels,
+// because a kernel allocates no storage.
 static constexpr Word<Precision> kPrecisions[] = {
     {"default", Precision::Default},
     {"f64", Precision::F64},
@@ -74,7 +75,7 @@ static bool readWord(Modes &modes, StringRef name, StringRef text) {
   return isRead;
 }
 
-/// For each mode that is set in `modes`: its name and its word.
+/// Lists, for each mode that is set in `modes`, its name and its word.
 static SmallVector<std::pair<StringRef, StringRef>>
 getWords(const Modes &modes) {
   SmallVector<std::pair<StringRef, StringRef>> result;
@@ -90,8 +91,8 @@ getWords(const Modes &modes) {
 // On kernels
 //===----------------------------------------------------------------------===//
 
-/// The word of a mode's attribute `entry`; none if the attribute does not have
-/// the type that the mode requires, a boolean or a string.
+/// Returns the word of a mode's attribute `entry`; none if the attribute does
+/// not have the type that the mode requires, a boolean or a string.
 static std::optional<StringRef> getText(NamedAttribute entry) {
   bool isSwitch = entry.getName() == "ftz";
   if (auto on = dyn_cast<BoolAttr>(entry.getValue()); on && isSwitch)
@@ -137,8 +138,8 @@ LogicalResult tai::verifyModes(Operation *kernel, DictionaryAttr modes) {
 // Modes of functions of the LLVM dialect
 //===----------------------------------------------------------------------===//
 
-/// The value of `tai.modes` in the function's attribute `passthrough`, if
-/// present.
+/// Returns the value of `tai.modes` in the function's attribute `passthrough`,
+/// if present.
 static std::optional<StringRef> getPassed(Operation *function) {
   auto entries = function->getAttrOfType<ArrayAttr>(kPassthrough);
   if (!entries)

@@ -18,7 +18,8 @@ static constexpr StringLiteral kPassthrough = "passthrough";
 static constexpr StringLiteral kLowered = "tai.lowered";
 
 bool tai::isTaiOp(Operation *op) {
-  // Compare the name of the op's dialect, which need not be loaded.
+  // The name of the op's dialect is compared, because the dialect need not be
+  // loaded.
   StringRef dialect = op->getName().getDialectNamespace();
   return dialect == "tai" || dialect == "tai_rt" || dialect == "tai_check";
 }
@@ -37,8 +38,8 @@ Operation *tai::findTaiOp(Operation *op) {
   return found;
 }
 
-/// The name of an entry of `passthrough`, which is a name or a pair of name and
-/// value.
+/// Returns the name of an entry of `passthrough`, which is a name or a pair of
+/// name and value.
 static StringRef getEntryName(Attribute entry) {
   if (auto pair = dyn_cast<ArrayAttr>(entry); pair && !pair.empty())
     entry = pair[0];
@@ -91,7 +92,7 @@ llvm::SetVector<Operation *> tai::collectLowered(ModuleOp module) {
   for (Operation &op : *module.getBody())
     if (isTaiCode(&op))
       lowered.insert(&op);
-  // Repeat until no further callers are found.
+  // The search is repeated until no further callers are found.
   for (bool grown = true; grown;) {
     grown = false;
     for (auto function : module.getOps<func::FuncOp>()) {
@@ -147,7 +148,7 @@ void tai::walkOwned(Operation *root,
   Operation *function = root;
   if (!isa<FunctionOpInterface>(root))
     function = root->getParentOfType<FunctionOpInterface>();
-  // `root` may be inside of a function: do not enter modules nested there.
+  // If `root` is inside of a function, modules nested there are not entered.
   if (function && !root->hasTrait<OpTrait::SymbolTable>()) {
     if (belongsToTai(function))
       action(root);

@@ -11,7 +11,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether values of `type` can have derivatives: floats, and vectors and
+/// True if values of `type` can have derivatives: floats, and vectors and
 /// memrefs of floats.
 static bool hasDerivative(Type type) {
   if (auto memref = dyn_cast<MemRefType>(type))

@@ -74,7 +74,8 @@ void KernelOp::print(OpAsmPrinter &printer) {
       getArgAttrsAttrName(), getResAttrsAttrName());
 }
 
-/// True for scalars and vectors of fixed length.
+/// True for types of values in a kernel's signature: scalars, and vectors of
+/// fixed length.
 static bool isKernelValueType(Type type) {
   if (auto vector = dyn_cast<VectorType>(type))
     return !vector.isScalable() &&
@@ -340,9 +341,9 @@ std::optional<SmallVector<Value>> ParallelForOp::getLoopInductionVars() {
   return SmallVector<Value>(getInductionVars());
 }
 
-/// The first index that a loop over a field may visit along a dimension, and
-/// the end of the indices. Passes that query induction variables expect bounds
-/// for each.
+/// Returns the first index that a loop over a field may visit along a
+/// dimension, and the end of the indices. Passes that query induction variables
+/// expect bounds for each.
 static std::pair<int64_t, int64_t> getVisitedRange(ParallelForOp loop,
                                                    unsigned dimension) {
   if (auto field = SymbolTable::lookupNearestSymbolFrom<FieldOp>(

@@ -92,8 +92,8 @@ static void printFieldClauses(OpAsmPrinter &printer, FieldOp,
 // TreeOp, FieldOp
 //===----------------------------------------------------------------------===//
 
-/// The size in bytes of all cells of the level `type`, without padding; the
-/// largest number if the size overflows.
+/// Returns the size in bytes of all cells of the level `type`, without padding;
+/// the largest number if the size overflows.
 static uint64_t countBytes(Type type, const DataLayout &layout) {
   uint64_t bytes = 0;
   if (auto places = dyn_cast<PlacesType>(type)) {
@@ -172,7 +172,8 @@ LogicalResult FieldOp::verify() {
   return success();
 }
 
-/// True if `related` equals `type` except that its floats may be wider.
+/// True if the type `related` equals `type` except that its floats may be
+/// wider.
 static bool holdsWider(Type related, Type type) {
   auto own = dyn_cast<FloatType>(getElementTypeOrSelf(type));
   auto other = dyn_cast<FloatType>(getElementTypeOrSelf(related));
@@ -275,8 +276,9 @@ static LogicalResult verifyApart(Block &fields) {
 }
 
 LogicalResult FieldOp::verifySymbolUses(SymbolTableCollection &symbols) {
-  // (field_c1), (field_c2). The first field of a block checks all fields of the
-  // block at once: there may be thousands.
+  // These are the constraints (field_c1) and (field_c2). The first field of a
+  // block checks all fields of the block at once, because there may be
+  // thousands.
   if (isFirstField(*this) && failed(verifyApart(*(*this)->getBlock())))
     return failure();
   auto tree = symbols.lookupNearestSymbolFrom<TreeOp>((*this)->getParentOp(),
@@ -507,8 +509,8 @@ Speculation::Speculatability LoadOp::getSpeculatability() {
 // Topology
 //===----------------------------------------------------------------------===//
 
-/// The level of the tree that is `up` levels above the place of `field`; 1 is
-/// the innermost level.
+/// Returns the level of the tree that is `up` levels above the place of
+/// `field`; 1 is the innermost level.
 static SNodeTypeInterface getLevelAbove(FieldOp field, int64_t up) {
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   if (failed(layout) || up > static_cast<int64_t>(layout->path.levels.size()))
@@ -530,8 +532,8 @@ static LogicalResult verifyLevelAccess(Operation *op, FlatSymbolRefAttr name,
   return diag;
 }
 
-/// Whether a field is below a list; with `directly`, whether it is in the
-/// list's cells.
+/// True if a field is below a list (a `dynamic` level); with `directly`, only
+/// if it is in the list's own cells.
 static bool isBelowList(FieldOp field, bool directly) {
   if (directly) {
     SNodeTypeInterface level = getLevelAbove(field, 1);
@@ -556,8 +558,9 @@ static LogicalResult verifyListAccess(Operation *op, FlatSymbolRefAttr name,
     diag.attachNote(field.getLoc()) << "field defined here";
     return diag;
   }
-  // The innermost list, whose axis must not be divided further: its index is
-  // omitted.
+  // Finds the innermost list above the field. No level above the list may
+  // divide the axis along the list, because the op omits the index of this
+  // axis.
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   ArrayRef<PathLevel> above = layout->path.levels;
   while (!above.back().type.isList())

@@ -59,7 +59,7 @@ private:
 
   Operation *tape;
   SymbolTableCollection &symbols;
-  /// The tape op, and the functions that are called in its region.
+  /// The tape op, and the functions that are called in the region of the tape.
   llvm::SetVector<Operation *> scopes;
   DenseMap<OpOperand *, SmallVector<Value, 2>> targets;
   DenseMap<Operation *, SmallVector<Operation *>> callers;
@@ -73,7 +73,7 @@ static bool isFloatLike(Type type) {
   return isa<FloatType>(getElementTypeOrSelf(type));
 }
 
-/// All symbols that a kernel, or a function that it calls, refers to.
+/// Returns all symbols that a kernel, or a function that it calls, refers to.
 const DenseSet<Attribute> &TapeValues::getNames(FlatSymbolRefAttr kernel) {
   auto [it, isNew] = namesOf.try_emplace(kernel);
   if (!isNew)
@@ -218,7 +218,7 @@ LogicalResult TapeValues::verifyUses() {
   return success();
 }
 
-/// Whether some loop inside of `tape` contains both ops.
+/// True if some loop inside of `tape` contains both ops.
 static bool shareLoop(Operation *lhs, Operation *rhs, Operation *tape) {
   for (Operation *loop = lhs->getParentOp(); loop && loop != tape;
        loop = loop->getParentOp())
@@ -244,7 +244,7 @@ LogicalResult TapeValues::verifyStores() {
         for (LaunchOp launch : launches) {
           if (!getNames(launch.getKernelAttr()).contains(name))
             continue;
-          // An op runs after another op if it comes later in their common
+          // An op can run after another op if it comes later in their common
           // block, or if both are in a loop.
           Operation *common =
               region.findAncestorOpInRegion(*launch.getOperation());

@@ -30,7 +30,7 @@ constexpr unsigned kMostOperators = 4096;
 /// The largest number of digits in the number of a result (123 in %0#123).
 constexpr size_t kMostDigits = 6;
 
-/// Whether `text` begins with a list of dimensions or symbols of an affine map,
+/// True if `text` begins with a list of dimensions or symbols of an affine map,
 /// in these brackets, that is too long. The parser's time grows with the square
 /// of the list's length.
 bool isLongList(StringRef text, char begin, char end) {
@@ -39,7 +39,7 @@ bool isLongList(StringRef text, char begin, char end) {
          list.count(',') >= kMostDimensions;
 }
 
-/// Whether an affine map or set is too long; `text` begins after its keyword
+/// True if an affine map or set is too long; `text` begins after its keyword
 /// `affine_map` or `affine_set`.
 bool isLongMap(StringRef text) {
   text = text.ltrim();
@@ -97,8 +97,8 @@ private:
                      .Case("]", '[')
                      .Case("}", '{')
                      .Default('<');
-    // Ignore a closing bracket without a match: it is a syntax error, or part
-    // of an arrow or a comparison.
+    // A closing bracket without a match is ignored: it is a syntax error, or
+    // part of an arrow or a comparison.
     if (!open.empty() && open.back().bracket == first)
       open.pop_back();
   }
@@ -114,7 +114,8 @@ private:
   SmallVector<Open> open;
   unsigned minuses = 0;
   unsigned dimensions = 0;
-  /// The nesting depth of each alias, by its name with `#` or `!`.
+  /// The nesting depth of each attribute or type alias, by its name with `#` or
+  /// `!`.
   llvm::StringMap<unsigned> aliases;
   std::string defined;
   unsigned deepest = 0;
@@ -124,8 +125,8 @@ private:
 
 void Scanner::skipComment() {
   size_t end = std::min(text.find('\n', at), text.size());
-  // At a separator `// -----`, forget brackets and aliases: tools split a text
-  // there, and the parts are independent.
+  // At a separator `// -----`, brackets and aliases are forgotten: tools split
+  // a text there, and the parts are independent.
   if (text.slice(at, end).starts_with("// -----")) {
     open.clear();
     aliases.clear();
@@ -149,7 +150,7 @@ void Scanner::readWord() {
     return countOperator();
   if ((word == "affine_map" || word == "affine_set") && isLongMap(rest()))
     return refuse(getLongMapMessage());
-  // 1x2x?x, up to the first letter other than x.
+  // A shape such as 1x2x?x, up to the first letter other than x.
   StringRef run = word.take_while(
       [](char c) { return llvm::isDigit(c) || c == 'x' || c == '?'; });
   dimensions += run.count('x');
@@ -181,8 +182,8 @@ void Scanner::readAlias(char kind) {
 }
 
 void Scanner::endAlias() {
-  // One level more than the alias's text, so that chains of aliases have a
-  // limit.
+  // The alias counts as one level more than its text, so that chains of aliases
+  // have a limit.
   if (!defined.empty())
     aliases[defined] = deepest + 1;
   defined.clear();
@@ -213,7 +214,8 @@ std::optional<TextProblem> Scanner::run() {
       skipString();
       break;
     case '<':
-      // An array of `index` ends the process, too.
+      // An array attribute with elements of type `index` would end the process,
+      // too.
       if (StringRef inside = rest().ltrim();
           text.take_front(at).rtrim().ends_with("array") &&
           inside.consume_front("index") && inside.ltrim().starts_with(":"))
@@ -264,7 +266,8 @@ std::optional<TextProblem> Scanner::run() {
   return problem;
 }
 
-/// MLIR writes affine maps to bytecode as text: search for these.
+/// Finds affine maps in bytecode, to which MLIR writes them as text, and checks
+/// them.
 static std::optional<TextProblem> findBytecodeProblem(StringRef bytes) {
   for (StringRef name : {"affine_map", "affine_set"})
     for (size_t at = bytes.find(name); at != StringRef::npos;
@@ -308,7 +311,7 @@ LogicalResult tai::checkDimensions(Operation *module) {
 // Tools
 //===----------------------------------------------------------------------===//
 
-/// Checks a text, and reports its problem if there is one.
+/// Checks the text of an input file, and reports its problem if there is one.
 static bool checkFile(StringRef name, StringRef text) {
   // Binary files, such as libraries, are not parsed.
   if (text.contains('\0') && !isBytecode(text))

@@ -32,8 +32,8 @@ static Value emitRemainder(OpBuilder &builder, Location loc, Value a,
                                               emitConstant(builder, loc, b));
 }
 
-/// Loads element `number` of an array in the tree to which other threads may
-/// write.
+/// Emits an atomic load of element `number` of an array in the tree to which
+/// other threads may write.
 static Value emitAtomicLoad(OpBuilder &builder, Location loc, Type type,
                             const CellRef &cell, Value number) {
   unsigned bytes = type.getIntOrFloatBitWidth() / 8;

@@ -39,7 +39,7 @@ int64_t mlir::tai::runtime::binomialCost(int64_t steps, int64_t snapshots) {
   if (steps <= 1)
     return 0;
   snapshots = std::clamp<int64_t>(snapshots, 1, steps);
-  // The least r with choose(snapshots + r, snapshots) >= steps.
+  // Finds the least r with choose(snapshots + r, snapshots) >= steps.
   int64_t repeats = 1;
   while (choose(snapshots + repeats, snapshots) < steps)
     ++repeats;
@@ -47,8 +47,8 @@ int64_t mlir::tai::runtime::binomialCost(int64_t steps, int64_t snapshots) {
 }
 
 int64_t mlir::tai::runtime::binomialSplit(int64_t steps, int64_t snapshots) {
-  // Bisect, since the cost is a convex function of the position of the next
-  // snapshot.
+  // The position of the next snapshot is found by bisection, since the cost is
+  // a convex function of it.
   auto cost = [&](int64_t at) {
     return at + binomialCost(at, snapshots) +
            binomialCost(steps - at, snapshots - 1);
@@ -93,12 +93,13 @@ void Checkpoints::push(uint32_t record) {
 
 bool Checkpoints::tooMany() const {
   if (policy.budget > 0)
-    // Leave room for the next snapshot, the final contents of the fields, and
+    // Room is left for the next snapshot, the final contents of the fields, and
     // the values of a single record: each at most the largest snapshot so far.
     return total + 3 * largest > policy.budget;
   if (policy.snapshots > 0)
     return count() >= policy.snapshots;
-  // Keep between once and twice as many snapshots as a segment has records.
+  // Without a limit, the number of snapshots is kept between once and twice the
+  // number of records between two snapshots.
   return count() >= 2 * int64_t(stride);
 }
 
@@ -172,7 +173,7 @@ static int64_t bytesOf(const std::vector<Piece> &pieces, size_t first = 0) {
 
 void Checkpoints::settle() {
   Log &top = logs.back();
-  // Cells that the record has activated held zeros before.
+  // Cells that the record has activated held zeros before it.
   for (Track *track : growing) {
     auto first = static_cast<int64_t>(track->loggedBy.size());
     track->refresh();
@@ -184,7 +185,8 @@ void Checkpoints::settle() {
   }
   growing.clear();
   size_t kept = unsettled;
-  // If the host has interrupted the comparison, keep all copies, needed or not.
+  // If the host has interrupted the comparison, all copies are kept, needed or
+  // not.
   bool compares = safepoints.begin(bytesOf(top.pieces, unsettled)).ok();
   for (size_t i = unsettled; i < top.pieces.size(); ++i) {
     compares = compares && safepoints.pass().ok();
@@ -236,8 +238,8 @@ void Checkpoints::mergeIntoPrevious(size_t index) {
     for (int64_t cell = piece.cell; cell < piece.endCell; ++cell)
       if (track.loggedBy[cell] == newer.id)
         track.loggedBy[cell] = older.id;
-    // The older snapshot can lack this field, or cells that became active
-    // later.
+    // The older snapshot can lack contents of this field, or of cells that
+    // became active later.
     track.marks.resize(static_cast<size_t>(track.numCells()));
     auto begin = track.marks.begin() + piece.cell;
     auto end = track.marks.begin() + piece.endCell;

@@ -27,7 +27,8 @@ namespace mlir::tai::runtime {
 /// The minimum number of re-executed steps to reverse `steps` steps with this
 /// many snapshots, including the one at the start.
 int64_t binomialCost(int64_t steps, int64_t snapshots);
-/// The position of the next snapshot in an optimal schedule.
+/// The position of the next snapshot in an optimal schedule for reversing
+/// `steps` steps.
 int64_t binomialSplit(int64_t steps, int64_t snapshots);
 
 class Checkpoints {
@@ -43,28 +44,28 @@ public:
   /// be as at that snapshot. Nothing is lost if the sequence then fails before
   /// its end.
   void rewind();
-  /// Call before each record while the sequence first runs: takes a snapshot
-  /// where one is due.
+  /// Takes a snapshot where one is due. Must be called before each record while
+  /// the sequence first runs.
   void reach(uint32_t record);
-  /// Copies slabs before they may change; settle drops, after the launch,
-  /// copies of cells that did not change.
+  /// Copies slabs (parts of a field) to the snapshot before they may change;
+  /// after the launch, settle drops the copies of cells that did not change.
   Status log(Track &track, SlabRange range);
   void settle();
-  /// Whether some snapshot was copied outside forward mode, and so lacks
+  /// True if some snapshot was copied outside forward mode, and so lacks
   /// tangents.
   bool lackTangents() const { return lacksTangents; }
 
-  /// Pushes a new snapshot, at a record.
+  /// Pushes a new snapshot, of the memory before a record.
   void push(uint32_t record);
-  /// Restores memory to the topmost snapshot. Fails if the host interrupts it;
-  /// then only the final contents can be restored.
+  /// Restores memory to the topmost snapshot. Fails if the host interrupts the
+  /// restoration; then only the final contents can be restored.
   Status restore();
   /// Drops the topmost snapshot, after restore() or before restoreFinal().
   void pop();
   int64_t count() const { return static_cast<int64_t>(logs.size()); }
   uint32_t start(int64_t number) const { return logs[number].start; }
   uint32_t topStart() const { return logs.back().start; }
-  /// An estimate, in bytes, of how much the topmost snapshot may still grow.
+  /// An estimate, in bytes, by which the topmost snapshot may still grow.
   int64_t growth() const { return largest - logs.back().bytes; }
 
   /// Save the contents of the fields at the end, and restore them. A failed
@@ -77,7 +78,7 @@ public:
   int64_t snapshotBytes() const { return largest; }
   int64_t bytes() const { return total + finalBytes; }
   int64_t mostSnapshots() const { return most; }
-  /// Fails if the budget is below the minimum that is needed.
+  /// Fails if the memory budget is below the minimum that is needed.
   Status checkBudget(int64_t leafBytes) const;
 
 private:
@@ -85,8 +86,8 @@ private:
     uint32_t start;
     uint32_t id;
     int64_t bytes = 0;
-    /// Copies of contents; if pieces overlap, the later piece holds older
-    /// contents.
+    /// Copies of memory contents; if two of them overlap, the later one holds
+    /// older contents.
     std::vector<Piece> pieces;
   };
   Status logOne(Track &track, SlabRange range);
@@ -101,16 +102,16 @@ private:
   std::vector<Piece> finals;
   size_t unsettled = 0;
   bool lacksTangents = false;
-  /// The tracks of sparse fields in which the running record may activate
+  /// The memory of sparse fields in which the running record may activate
   /// cells.
   std::vector<Track *> growing;
   uint32_t ids = 0;
   uint32_t stride = 1;
-  /// Bytes of the snapshots, and of the final contents.
+  /// The bytes of the snapshots, and of the final contents.
   int64_t total = 0, finalBytes = 0;
   int64_t largest = 0;
   int64_t most = 0;
-  /// Checks for interrupts during copies and comparisons.
+  /// Checks for interrupts by the host during copies and comparisons.
   CopySafepoints safepoints;
 };
 

@@ -30,8 +30,8 @@ SlabRange TapeMemory::Use::locateAny(const uint64_t *args) const {
     number = number * extent + position;
     located *= extent;
   }
-  // Avoid the division, which each launch would do, if the indices fix one
-  // slab.
+  // If the indices fix one slab, the division below, which each launch would
+  // do, is avoided.
   int64_t all = track->slabs.count();
   int64_t count = located == all ? 1 : all / located;
   return {number * count, count};
@@ -41,7 +41,8 @@ Track &TapeMemory::trackOf(const FieldPtr &field,
                            const std::vector<FixedIndex> &fixed) {
   std::unique_ptr<Track> &track =
       tracks[{&field->tree(), field->layout().placeOffset}];
-  // A kernel may use hundreds of slabs of a field that is cut already.
+  // A kernel may use hundreds of slabs of a field that is already cut into
+  // slabs.
   if (track &&
       (track->everSaved || fixed.size() <= track->slabs.dimensions().size()))
     return *track;
@@ -57,7 +58,8 @@ Track &TapeMemory::trackOf(const FieldPtr &field,
         return part.track == track.get() && !part.range.isAll();
       }))
     return *track;
-  // The earlier uses of the field are of the whole field, or of larger slabs.
+  // Splits slabs, because earlier launches used the whole field, or larger
+  // slabs than this launch.
   track->stored.lose({}, lostStored);
   Track finer(track->field, std::move(wanted));
   finer.readAnywhere = track->readAnywhere;
@@ -172,8 +174,8 @@ TapeMemory::Part TapeMemory::followedForward(Track &track, SlabRange range) {
   const FieldPtr &primal = *track.ofPrimal;
   if (!primal)
     return {&track, range};
-  // The slabs of a dual can differ from the slabs of its primal field: follow
-  // the whole primal field.
+  // The slabs of a dual field can differ from the slabs of its primal field, so
+  // the whole primal field is followed.
   return {primal->isAdjoint() ? nullptr : &trackOf(primal, {}), {}};
 }
 
@@ -201,7 +203,7 @@ Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
   }
   for (const Use &use : uses.changes) {
     bool isStored = use.track->stored.any();
-    // The sweep runs no adjoint for a launch of a host function.
+    // The sweep runs no adjoint for a launch that a host function made.
     bool before = use.before && !isPart;
     bool mayBeRead = use.track->lastRead != 0 || before || checkpoints;
     if (!isStored && !mayBeRead)
@@ -359,7 +361,8 @@ Status TapeMemory::addPiece(const Candidate &candidate, int64_t cell,
 void TapeMemory::stampSaved(const Candidate &candidate, int64_t cell,
                             int64_t endCell) {
   std::vector<uint32_t> &savedAt = candidate.track->savedAt;
-  // A save that is put back before the adjoint serves that adjoint too.
+  // A saved piece that is restored before the adjoint of its record serves that
+  // adjoint too.
   uint32_t stamp = stampOf(candidate.record) + (candidate.before ? 1 : 0);
   std::fill(savedAt.begin() + cell, savedAt.begin() + endCell, stamp);
 }
@@ -389,7 +392,8 @@ void TapeMemory::notePeak() {
 }
 
 void TapeMemory::settle() {
-  // Return early: most launches of most programs save nothing.
+  // This function returns early, because most launches of most programs save
+  // nothing.
   if (growing.empty() && unsettled == pieces.size() && !checkpoints)
     return;
   keepZeros();
@@ -398,7 +402,8 @@ void TapeMemory::settle() {
   int64_t bytes = 0;
   for (size_t i = unsettled; i < pieces.size(); ++i)
     bytes += pieces[i].bytes();
-  // If the host has interrupted the comparison, keep all copies, needed or not.
+  // If the host has interrupted the comparison, all copies are kept, needed or
+  // not.
   bool compares = safepoints.begin(bytes).ok();
   size_t kept = unsettled;
   for (size_t i = unsettled; i < pieces.size(); ++i) {
@@ -470,7 +475,7 @@ int64_t TapeMemory::mostBytes(uint32_t from, uint32_t to) const {
        i < candidates.size() && candidates[i].record < to; ++i)
     if (candidates[i].stamp >= stampOf(from))
       bytes += candidates[i].track->bytesOf(candidates[i].range);
-  // In forward mode the duals of the fields are saved, too; they have the same
+  // In forward mode the duals of the fields are saved, too, and have the same
   // size.
   return runtime.isForward() ? 2 * bytes : bytes;
 }
@@ -492,7 +497,7 @@ int64_t TapeMemory::bytesAt(uint32_t record) const {
 
 void TapeMemory::swap(Piece &piece) {
   const Slabs &slabs = piece.track->slabs;
-  // A piece that was all zeros has no memory until it is restored.
+  // A saved piece that was all zeros has no memory until it is restored.
   if (!piece.block && slabs.onDevice()) {
     Status status = slabs.zerosOnDevice(piece.count(), piece.block);
     if (!status) {
@@ -508,7 +513,8 @@ void TapeMemory::swap(Piece &piece) {
     slabs.exchange(piece.first(), piece.count(), piece.data.get());
     return;
   }
-  // Memory that runs out must not leave some pieces swapped and others not.
+  // If memory runs out here, some pieces would be swapped and others not, so
+  // the swap uses a small buffer on the stack.
   char few[8 << 10];
   char *held = few;
   int64_t element = slabs.elementBytes();
@@ -528,10 +534,12 @@ void TapeMemory::swap(Piece &piece) {
   }
 }
 
-/// Swaps pieces [begin, end), on worker threads if there are many.
+/// Swaps the saved pieces [begin, end) with the contents of fields, on worker
+/// threads if there are many.
 void TapeMemory::swapSome(size_t begin, size_t end, int64_t bytes) {
   constexpr int64_t bytesPerPart = 1 << 20;
-  // Pieces of one record do not overlap.
+  // The saved pieces of one record do not overlap, so that several threads can
+  // swap them.
   struct Job {
     Piece *const *pieces;
     int64_t count, parts;
@@ -572,7 +580,8 @@ Status TapeMemory::swapAll(FieldCopies::Interrupts interrupts) {
   Status status = safepoints.begin(bytes);
   if (!status && canStop)
     return status;
-  // An interruption must not leave a piece half swapped.
+  // Interruptions are held back, since they must not leave a piece of memory
+  // half swapped.
   safepoint::Unstoppable whole;
   auto isStopped = [&] {
     return canStop && safepoint::Unstoppable::wasAsked();
@@ -607,7 +616,7 @@ Status TapeMemory::failWithoutTangents() {
 Status TapeMemory::beginReverse() {
   if (Status status = safepoints.checkHandler(); !status)
     return status;
-  // Allocate now: nothing below may run out of memory.
+  // Memory is allocated now, because the steps below must not fail.
   some.reserve(pieces.size());
   cursor = pieces.size();
   entered = -1;
@@ -695,7 +704,8 @@ void TapeMemory::leave(bool reexecutes) {
 }
 
 void TapeMemory::endReverse() {
-  // The pieces of the last record that have `before` set are restored already.
+  // The saved pieces of the last record that have `before` set are restored
+  // already.
   some.clear();
   for (; cursor > 0 && pieces[cursor - 1].record == entered; --cursor)
     if (!pieces[cursor - 1].before)

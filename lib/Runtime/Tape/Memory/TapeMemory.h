@@ -27,7 +27,8 @@ class TapeMemory {
 public:
   explicit TapeMemory(Runtime &runtime) : runtime(runtime) {}
 
-  /// From now on, values overwritten by the running sequence go into snapshots.
+  /// Attaches checkpoints: from now on, values overwritten by the running
+  /// sequence go into snapshots.
   void useCheckpoints(Checkpoints *snapshots) { checkpoints = snapshots; }
 
   struct Part {
@@ -38,27 +39,30 @@ public:
     }
   };
 
-  /// How the launches of a kernel use one field.
+  /// Describes how the launches of a kernel use one field.
   struct Use {
     Track *track;
-    /// The fixed indices along a leading part of the dimensions that tell the
-    /// track's slabs apart.
+    /// The indices that are fixed in a launch along some leading dimensions, by
+    /// which the slabs of the field are told apart.
     std::vector<FixedIndex> fixed;
-    /// The range of the field's indices along each dimension of `fixed`.
+    /// The range of the field's indices along each dimension in which an access
+    /// fixes the index.
     std::vector<SlabRange> ranges;
-    /// For a use that changes the field: whether the adjoint reads the contents
+    /// For a use that changes the field: true if the adjoint reads the contents
     /// from before the launch.
     bool before = false;
 
-    /// If the only fixed index is a multiple of one argument plus a constant:
-    /// this term, which a launch evaluates without following pointers.
+    /// The term of the only fixed index, if it is a multiple of one argument
+    /// plus a constant: a launch evaluates this term without following
+    /// pointers.
     struct Single {
       LaunchTerm term;
       int64_t constant = 0, extent = -1;
     } single;
 
-    /// The slabs that a launch with these arguments uses; all slabs if an index
-    /// is not known. Inline, since each launch evaluates several uses.
+    /// Returns the slabs of the field that a launch with the arguments `args`
+    /// uses; all slabs if an index is not known. Inline, since each launch
+    /// evaluates several uses.
     __attribute__((always_inline)) SlabRange
     locate(const uint64_t *args) const {
       if (__builtin_expect(single.extent != track->slabs.count(), false))
@@ -71,7 +75,7 @@ public:
                  : SlabRange();
     }
     SlabRange locateAny(const uint64_t *args) const;
-    /// Whether the use has the same slabs in all launches.
+    /// True if the kernel uses the same slabs of the field in all launches.
     bool isConstant() const {
       return std::all_of(
           fixed.begin(), fixed.end(),
@@ -85,10 +89,11 @@ public:
     std::vector<Use> changes;
     /// Reads of the adjoint.
     std::vector<Use> reads;
-    /// Reads of the adjoint variant that loads the kernel's stored outputs.
+    /// Reads by the variant of the adjoint that loads the kernel's stored
+    /// outputs.
     std::vector<Use> stored;
-    /// All accesses of the kernel itself: the reverse of a host function that
-    /// launches the kernel may read this memory.
+    /// All accesses of the kernel itself, since the reverse of a host function
+    /// that launches the kernel may read this memory.
     std::vector<Use> touches;
   };
   /// The part to save and restore for a change of `range`. In forward mode, a
@@ -100,9 +105,9 @@ public:
                ? followedForward(track, range)
                : Part{&track, range};
   }
-  /// The uses of a kernel; plans its adjoint if necessary.
+  /// Returns how a kernel uses fields; plans its adjoint if necessary.
   const KernelUses &usesOf(Kernel &kernel);
-  /// The uses of a kernel, or null before the first usesOf(kernel).
+  /// Returns how a kernel uses fields, or null before the first usesOf(kernel).
   const KernelUses *findUses(const Kernel &kernel) const {
     auto found = kernelUses.find(&kernel);
     return found == kernelUses.end() ? nullptr : found->second.get();
@@ -112,21 +117,24 @@ public:
   // Forward
   //===--------------------------------------------------------------------===//
 
-  /// Call before and after a launch. `record`: the number of its record or, if
-  /// `isPart`, of the record of the host function that makes the launch.
+  /// Must be called before and after a launch. `record`: the number of its
+  /// record or, if `isPart`, of the record of the host function that makes the
+  /// launch.
   Status beforeLaunch(const KernelUses &uses, const uint64_t *args,
                       uint32_t record, bool isPart);
   void afterLaunch(const KernelUses &uses, const uint64_t *args,
                    uint32_t record);
-  /// Call after a launch of a host function, whose reverse may read whatever
-  /// the launch has accessed.
+  /// Notes the accesses of a launch that a host function made, because the
+  /// reverse of the function may read whatever the launch has accessed.
   void afterPart(const KernelUses &uses, const uint64_t *args);
-  /// Call before the host writes a field or, with an index, a slab of it.
+  /// Saves the values that a write of the host overwrites: of a field or, with
+  /// an index, of one slab. Must be called before the write.
   Status beforeWrite(const FieldPtr &field, const int64_t *index,
                      uint32_t record);
-  /// Makes the launches and writes since the last call a part of this record.
+  /// Assigns the launches and writes since the last call to this record, which
+  /// is a host function or a write.
   void endParts(uint32_t record, bool readsInReverse);
-  /// Drops copies of cells that did not change.
+  /// Drops saved copies of cells that did not change.
   void settle();
 
   /// Starts a forward replay of the same records; call beforeReplay before each
@@ -135,14 +143,15 @@ public:
   /// Saves the values that a repeated record overwrites. `oldest`: the first
   /// record whose adjoint may need them.
   Status beforeReplay(uint32_t record, uint32_t oldest = 0);
-  /// Drops all saved values; the records from `record` on will be re-executed.
+  /// Drops all saved values, since the records from `record` on will be
+  /// re-executed.
   void beginSegment(uint32_t record);
   /// An upper bound of the bytes that running the records [from, to) may save.
   int64_t mostBytes(uint32_t from, uint32_t to) const;
   /// The parts of fields that the record, a host function or a write of the
   /// host, changes; kept for snapshots only.
   const std::vector<Part> &partsAt(size_t record) const;
-  /// Whether memory was changed by something that is not recorded.
+  /// True if memory was changed by an action that is not recorded.
   bool lostChanges() const { return lost; }
   void notePeak();
 
@@ -161,38 +170,40 @@ public:
   /// `endReverse` may follow.
   Status enter(uint32_t record, bool reexecutes);
   void leave(bool reexecutes);
-  /// Restores memory to the state after all records.
+  /// Restores memory to its state after all records.
   void endReverse();
 
   int64_t savedBytes() const { return saved; }
   int64_t peakBytes() const { return peak; }
-  /// Bytes saved at a record.
+  /// The bytes saved at a record.
   int64_t bytesAt(uint32_t record) const;
-  /// Whether some adjoint reads the field.
+  /// True if some adjoint reads the primal values of the field.
   bool isRead(const Field &field) const;
-  /// Whether the field holds stored outputs that some adjoint may load.
+  /// True if the field holds stored outputs that some adjoint may load.
   bool isStored(const Field &field) const {
     const Track *track = findTrack(field);
     return track && track->stored.any();
   }
-  /// Whether no later record has changed the stored outputs of this record.
+  /// True if no later record has changed the outputs that this record has
+  /// stored.
   bool holdsStored(uint32_t record) const {
     uint32_t stamp = stampOf(record);
     return stamp >= lostStored.size() || !lostStored[stamp];
   }
-  /// Whether some record reads or changes the field.
+  /// True if some record reads or changes the field.
   bool isTouched(const Field &field) const { return findTrack(field); }
-  /// Whether the reverse sweep needs the current values of the field. With
+  /// True if the reverse sweep needs the current values of the field. With
   /// checkpoints, re-executed launches need whatever launches read.
   bool needsValues(const Field &field) const {
     return checkpoints ? isTouched(field) : isRead(field);
   }
   bool empty() const { return pieces.empty(); }
-  /// Whether no launch of the sequence changes values that an adjoint reads.
+  /// True if no launch of the sequence changes values that an adjoint reads.
   bool savesNothing() const { return pieces.empty() && candidates.empty(); }
 
 private:
-  /// A copy of values that any run of the sequence may have to make.
+  /// A range of values that runs of the sequence may have to save, and the
+  /// record that overwrites them.
   struct Candidate {
     Track *track;
     SlabRange range;
@@ -214,8 +225,9 @@ private:
   /// Saves zeros as the former contents of cells that the record has activated.
   void keepZeros();
   static void swap(Piece &piece);
-  /// Swaps all pieces in `some`, which are of one record. If the host
-  /// interrupts the swaps, the swapped pieces are swapped back.
+  /// Swaps all pieces in `some`, which are of one record, with the contents of
+  /// fields. If the host interrupts the swaps, the swapped pieces are swapped
+  /// back.
   Status swapAll(FieldCopies::Interrupts interrupts);
   void swapSome(size_t begin, size_t end, int64_t bytes);
   template <typename Visit> void forEachEntered(const Visit &visit);
@@ -228,19 +240,20 @@ private:
   std::map<std::pair<const Tree *, int64_t>, std::unique_ptr<Track>> tracks;
   std::unordered_map<const Kernel *, std::unique_ptr<KernelUses>> kernelUses;
   std::vector<Candidate> candidates;
-  /// parts: accesses since the last record, by launches of a host function and
-  /// by writes. changedParts: the changes among them, kept for snapshots.
+  /// parts: accesses to memory since the last record, by launches of a host
+  /// function and by writes. changedParts: the changes among them, kept for
+  /// snapshots.
   std::vector<Part> parts, changedParts;
   std::unordered_map<size_t, std::vector<Part>> partsByRecord;
   bool lost = false;
-  /// For the stamp of each record: whether its stored outputs have been changed
+  /// For the stamp of each record: true if its stored outputs have been changed
   /// since.
   std::vector<bool> lostStored;
   Checkpoints *checkpoints = nullptr;
   /// The saved pieces, in the order of their records.
   std::vector<Piece> pieces;
-  /// The pieces from this number on have not been compared with their fields
-  /// yet.
+  /// The saved pieces from this number on have not been compared with their
+  /// fields yet.
   size_t unsettled = 0;
   /// Values that were saved outside forward mode lack their tangents.
   enum class Tangents { Kept, Lacking };
@@ -251,9 +264,10 @@ private:
   std::vector<Candidate> growing;
   /// The number of the next element of `candidates` in a forward replay.
   size_t nextCandidate = 0;
-  /// In a reverse sweep, the pieces from this number on have been restored.
+  /// In a reverse sweep, the saved pieces from this number on have been
+  /// restored.
   size_t cursor = 0;
-  /// The record whose pieces with `before` have been restored, or -1.
+  /// The record whose saved pieces with `before` have been restored, or -1.
   int64_t entered = -1;
   std::vector<Piece *> some;
   std::vector<char> beforeCopy;

@@ -44,7 +44,8 @@ void TapeTopology::end() {
 void TapeTopology::update(Watched &entry, uint32_t record) {
   if (!entry.tree->base())
     return;
-  // epoch() fetches activity from a device, and runs deferred updates first.
+  // The call of epoch() fetches activity from a device, and runs deferred
+  // updates first.
   uint64_t epoch = entry.node->epoch();
   if (entry.known->epoch == epoch)
     return;
@@ -90,8 +91,8 @@ bool TapeTopology::updateLater(const TreePtr &tree, uint32_t record) {
 }
 
 void TapeTopology::settle(uint32_t record) {
-  // The levels of a tree are adjacent in `watched`, so one update serves them
-  // all.
+  // The levels of a tree are adjacent in the list of watched levels, so one
+  // update serves them all.
   const Tree *later = nullptr;
   for (Watched &entry : watched) {
     if (entry.tree.get() == later)
@@ -111,8 +112,8 @@ void TapeTopology::noteLoops(uint32_t record, const LoopLists &lists) {
 }
 
 void TapeTopology::restart() {
-  // epoch() runs deferred updates of earlier records: call it before `changed`
-  // is cleared.
+  // The call of epoch() runs deferred updates of earlier records, so it must
+  // come before the list of changes is cleared.
   for (Watched &entry : watched)
     if (entry.tree->base())
       (void)entry.node->epoch();
@@ -219,7 +220,8 @@ static bool isBelow(const SparseNode *node, const SparseNode *above) {
 }
 
 namespace {
-/// The elements of a field in some cells, wherever they are current.
+/// The elements of a field in some cells, on the host or on the device,
+/// wherever they are current.
 class CellValues {
 public:
   explicit CellValues(Field &field) : field(field), elements(field) {
@@ -322,8 +324,8 @@ int64_t TapeTopology::dropAdjoints(const Change &change, Field &field,
   auto has = [](const std::vector<int64_t> &cells, int64_t cell) {
     return std::binary_search(cells.begin(), cells.end(), cell);
   };
-  // A cell that an earlier record has cleared holds no initial value of the
-  // field.
+  // In a cell that an earlier record has cleared, the field has no initial
+  // value.
   auto wasCleared = [&](int64_t cell) {
     for (size_t i = 0; i < firstPassed; ++i)
       if (changed[i].node == change.node && has(changed[i].cleared, cell))
@@ -353,7 +355,7 @@ int64_t TapeTopology::dropAdjoints(const Change &change, Field &field,
 
 void TapeTopology::endReverse(std::vector<std::string> &notes) {
   seek(UINT32_MAX);
-  // Inactive cells hold zeros, so zero the adjoints in them.
+  // Inactive cells hold zeros, so the adjoints in them are zeroed.
   for (size_t i = passed; i < changed.size(); ++i) {
     const Change &change = changed[i];
     if (change.cleared.empty())

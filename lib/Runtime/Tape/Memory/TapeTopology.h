@@ -35,16 +35,18 @@ public:
   // Forward
   //===--------------------------------------------------------------------===//
 
-  /// Follows the activity of the tree from now on; call before anything that
-  /// may change the activity.
+  /// Follows the activity of the tree from now on. Must be called before any
+  /// action that may change the activity.
   void watch(const TreePtr &tree);
-  /// Call after a record. settle: records the changes of activity. noteLoops:
-  /// records the cells that the loops of a launch visited.
+  /// Record a change of activity by the record that has just run. settle:
+  /// records the changes of activity. noteLoops: records the cells that the
+  /// loops of a launch visited.
   void settle(uint32_t record);
   void noteLoops(uint32_t record, const LoopLists &lists);
-  /// Starts a forward replay of the same records.
+  /// Starts a forward replay of the same records, whose activity changes are
+  /// known.
   void restart();
-  /// Ends the recording; call after the last record.
+  /// Ends the recording of activity. Must be called after the last record.
   void end();
 
   //===--------------------------------------------------------------------===//
@@ -55,26 +57,26 @@ public:
   /// sequence ran.
   Status check() const;
   void beginReverse() { settle(kEnd); }
-  /// Restores the activity before or after the record.
+  /// Restores the activity of cells to its state before or after the record.
   void goBefore(uint32_t record) { seek(record); }
   void goAfter(uint32_t record) { seek(record + 1); }
-  /// Restores the activity after the record, for the sweep: also zeroes
-  /// adjoints of cells that later records deactivated.
+  /// Restores the activity to its state after the record, for the sweep: also
+  /// zeroes adjoints of cells that later records deactivated.
   void enter(uint32_t record);
-  /// Call before and after the record is re-executed from the state before it.
-  /// Keeps the adjoints of cells that the record deactivates, since these
-  /// adjoints belong to later records.
+  /// Must be called before and after the record is re-executed from the state
+  /// before it. These functions keep the adjoints of cells that the record
+  /// deactivates, since these adjoints belong to later records.
   void beginReexecution(uint32_t record);
   void endReexecution(uint32_t record);
-  /// Restores the activity after all records. Adds a line to `notes` if
-  /// adjoints were lost.
+  /// Restores the activity to its state after all records. Adds a line to
+  /// `notes` if adjoints were lost.
   void endReverse(std::vector<std::string> &notes);
 
   const LoopLists *loopsAt(uint32_t record) const {
     auto found = loops.find(record);
     return found == loops.end() ? nullptr : &found->second;
   }
-  /// Whether the record has changed the activity of the level.
+  /// True if the record has changed the activity of the level.
   bool changes(uint32_t record, const SparseNode &node) const;
   bool empty() const { return changed.empty(); }
   bool watchesNothing() const { return watched.empty(); }
@@ -87,10 +89,10 @@ private:
     /// known: the cells that were active at the last update. first: the cells
     /// that were active before the first record.
     ActiveListPtr known, first;
-    /// All cells that were active at any record.
+    /// All cells of the level that were active at any record.
     std::vector<int64_t> ever = {};
   };
-  /// The changes of one level by a record.
+  /// The changes of activity in one level by a record.
   struct Change {
     uint32_t record;
     SparseNode *node;
@@ -101,11 +103,11 @@ private:
 
   std::vector<Change>::const_iterator firstAt(uint32_t record) const;
   void update(Watched &entry, uint32_t record);
-  /// If the tree is on a device, defers the update. False if it must be done at
-  /// once.
+  /// Defers the update of the list of changes, if the tree is on a device.
+  /// False if it must be done at once.
   bool updateLater(const TreePtr &tree, uint32_t record);
   void add(Change change);
-  /// Restores the activity after the first `position` records.
+  /// Restores the activity to its state after the first `position` records.
   void seek(uint32_t position);
   void clearAdjoints(const Change &change);
   /// Zeroes the adjoints in cells that are inactive after all records. Returns
@@ -113,7 +115,8 @@ private:
   int64_t dropAdjoints(const Change &change, Field &field,
                        size_t firstPassed) const;
   void noteRemovals(bool on);
-  /// Calls body(field) for each adjoint field in cells of the level.
+  /// Calls body(field) for each adjoint field that has elements in cells of the
+  /// level.
   template <typename Body>
   void forEachAdjoint(const SparseNode &node, const Body &body) const;
   /// Calls body(values, cells) for each adjoint field in the memory that a

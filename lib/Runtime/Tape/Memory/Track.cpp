@@ -15,8 +15,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// The size of a cell (the unit of saving), and of a piece, in a field that is
-/// larger.
+/// The size in bytes of a cell, the unit of saving a field's contents, and of a
+/// saved piece, in a field that is larger.
 static constexpr int64_t cellBytes = 8 << 10;
 
 Track::Track(FieldPtr fieldPtr, std::vector<int> dimensions)
@@ -28,7 +28,8 @@ Track::Track(FieldPtr fieldPtr, std::vector<int> dimensions)
     return;
   }
   if (slabs.onDevice()) {
-    // On a device nothing is compared, so a slab is kept in one piece.
+    // The saved contents are not compared with the field on a device, so a slab
+    // is saved as one piece.
     cellElements = std::max<int64_t>(slabs.elements(), 1);
     cellsPerSlab = 1;
     return;
@@ -63,8 +64,8 @@ int64_t Track::refresh() {
   if (!slabs.byCell())
     return numCells();
   SparseNode &node = *field->sparseNode();
-  // Keep all cells of a small field: to list the active cells, the host would
-  // wait for the device. Inactive cells are kept as zeros.
+  // All cells of a small field are kept: to list the active cells, the host
+  // would wait for the device. Inactive cells are kept as zeros.
   constexpr int64_t fewBytes = 256 << 10;
   if (slabs.onDevice() && slabs.dimensions().empty() &&
       node.numCells() * slabs.elementBytes() <= fewBytes &&

@@ -25,7 +25,8 @@
 
 namespace mlir::tai::runtime {
 
-/// The history of one place in a tree, shared by all fields at that place.
+/// The history of the contents of one place in a tree, shared by all fields at
+/// that place.
 struct Track {
   Track(FieldPtr field, std::vector<int> dimensions);
 
@@ -37,20 +38,20 @@ struct Track {
   int64_t cellElements;
   int64_t cellsPerSlab;
 
-  /// Stamps of the last record that reads each slab, an unknown slab, and any
-  /// slab.
+  /// Stamps (numbers) of the last record that reads each slab of the field, a
+  /// slab that is not known, and any slab.
   std::vector<uint32_t> readAt;
   uint32_t readAnywhere = 0;
   uint32_t lastRead = 0;
-  /// Stamp of the last save of each cell.
+  /// The stamp of the last save of each cell.
   std::vector<uint32_t> savedAt;
   /// The last snapshot that copied each cell, and temporary marks of cells.
   std::vector<uint32_t> loggedBy, marks;
   bool everSaved = false;
   /// See tangentIn.
   std::unique_ptr<Track> tangent;
-  /// If the field is a dual: the field that it belongs to. Set in forward mode
-  /// only.
+  /// If the field is a dual: the primal field that it belongs to. Set in
+  /// forward mode only.
   std::optional<FieldPtr> ofPrimal;
   /// A list of all cells of the level, if all cells are kept; see refresh.
   ActiveListPtr everyCell;
@@ -62,7 +63,8 @@ struct Track {
   /// and restored wherever the field is.
   Track *tangentIn(const Runtime &runtime);
 
-  /// Makes the host's copy current, if saves read it and not the device's.
+  /// Makes the host's copy of the field current, if its contents are saved from
+  /// there and not from the device.
   Status bring() const;
 
   void markRead(SlabRange range, uint32_t stamp) {
@@ -84,11 +86,11 @@ struct Track {
   int64_t numCells() const {
     return slabs.byCell() ? slabs.numCells() : slabs.count() * cellsPerSlab;
   }
-  /// Adds the currently active cells to those of a sparse field. Returns the
-  /// number of cells before.
+  /// Adds the currently active cells to the known cells of a sparse field.
+  /// Returns the number of cells known before.
   int64_t refresh();
-  /// Calls body(begin, end) for runs of cells of the slabs for which `wanted`
-  /// holds, none longer than longestRun().
+  /// Calls body(begin, end) for runs of cells in the given slabs for which
+  /// `wanted` holds, none longer than longestRun().
   template <typename Wanted, typename Body>
   Status forEachRun(SlabRange range, const Wanted &wanted,
                     const Body &body) const;
@@ -116,7 +118,7 @@ struct Track {
 struct Piece {
   Track *track;
   uint32_t record;
-  /// Whether the piece is restored before the adjoint of its record, not after
+  /// True if the piece is restored before the adjoint of its record, not after
   /// it.
   bool before;
   int64_t cell, endCell;
@@ -130,8 +132,8 @@ struct Piece {
   /// Copies the contents of the field; fails if the tape would exceed the
   /// memory limit. `kept`: bytes that the tape has saved so far.
   Status allocate(Runtime &runtime, int64_t kept);
-  /// Whether the field still has these contents. False on a device, where the
-  /// comparison is not worth the wait.
+  /// True if the field still has the saved contents. False on a device, where
+  /// the comparison is not worth the wait.
   bool holds() const {
     if (block || track->slabs.onDevice())
       return false;

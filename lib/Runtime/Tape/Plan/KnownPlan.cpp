@@ -35,7 +35,8 @@ bool KnownPlan::find(const TapeRecording &recording, const PlanInputs &wanted,
       recording.kernels().size() != kernels.size() ||
       !(recording.launches() == launches))
     return false;
-  // A new kernel can have the address of a destroyed one.
+  // A new kernel can have the address of a destroyed one, so the weak
+  // references are compared.
   for (size_t i = 0; i < kernels.size(); ++i)
     if (kernels[i].lock() != recording.kernels()[i])
       return false;

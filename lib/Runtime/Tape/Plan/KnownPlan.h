@@ -31,8 +31,8 @@ enum class PlanDecision : uint8_t {
   Overwrite     // a write of the host: the adjoint of its elements becomes zero
 };
 
-/// The inputs of a plan besides the records, on which its decisions also
-/// depend.
+/// The inputs of a plan for the reverse sweep, besides the records, on which
+/// its decisions also depend.
 struct PlanInputs {
   uint64_t epoch = 0;
   /// The fields whose adjoints may be non-zero at the start, and those whose
@@ -54,8 +54,8 @@ struct PlanResults {
   Overwrites overwrites;
 };
 
-/// A plan with the launches and inputs that it was made for. Keeps neither
-/// kernels nor fields alive.
+/// A plan for the reverse sweep, with the launches and inputs that it was made
+/// for. Keeps neither kernels nor fields alive.
 class KnownPlan {
 public:
   /// Copies a plan with its recording and inputs. Null for a recording with
@@ -75,8 +75,8 @@ private:
   TapeRecording::Launches launches;
   std::vector<std::weak_ptr<Kernel>> kernels;
   PlanInputs inputs;
-  /// The plan's results. The fields in `overwrites.storedOnce` are null; the
-  /// member `storedOnce` refers to them weakly.
+  /// The results of the plan. The fields in `overwrites.storedOnce` are null;
+  /// the member `storedOnce` refers to them weakly.
   PlanResults results;
   std::vector<std::weak_ptr<Field>> storedOnce;
 };

@@ -41,7 +41,8 @@ void LiveSlabs::collect(const Kernel &kernel, KernelUses &uses) {
   for (const Access &access : kernel.summary()) {
     if (!access.field->adjoint())
       continue;
-    // A hand-written adjoint can access elements outside the summary.
+    // A hand-written adjoint can access elements that the kernel's summary does
+    // not list.
     bool isKnown =
         kernel.hasZeroingAdjoint() && places[access.field.get()] <= mostPlaces;
     size_t set = numberOf(*access.field);
@@ -120,8 +121,8 @@ void LiveSlabs::add(const std::vector<Use> &uses, const uint64_t *args) {
 void LiveSlabs::end(const KernelUses &uses, const uint64_t *args) {
   for (const Use &use : uses.ended) {
     SlabSet::Slab slab = locate(use, args);
-    // If an index is out of range, locate() returns the whole field: remove
-    // nothing.
+    // If an index is out of range, locate() returns the whole field, so nothing
+    // is removed.
     if (!slab.isWhole() || use.fixed->empty())
       sets[use.set].remove(slab);
   }

@@ -26,19 +26,22 @@ public:
   /// Starts without live elements.
   explicit LiveSlabs(const TapeRecording &recording);
 
-  /// Makes all elements of a field, or of all fields, live.
+  /// Marks the adjoints of all elements of a field, or of all fields, as
+  /// possibly non-zero (live).
   void add(const Field &field);
   void addAll() { isAll = true; }
-  /// Makes no element of the field live.
+  /// Marks no element of the field as live any more.
   void remove(const Field &field);
 
   bool has(const Field &field) const;
-  /// Whether a launch writes, or overwrites, elements that may be live.
+  /// True if a launch writes, or overwrites, elements whose adjoints may be
+  /// non-zero.
   bool isWritten(const TapeRecording::Record &record) const;
   bool isOverwritten(const TapeRecording::Record &record) const;
 
-  /// Updates the live elements after the adjoint of a launch. `zeroes`: it has
-  /// set the adjoints of the elements that the launch overwrites to zero.
+  /// Updates the set of live elements after the adjoint of a launch. `zeroes`:
+  /// the adjoint has set the adjoints of the elements that the launch
+  /// overwrites to zero.
   void pass(const TapeRecording::Record &record, bool zeroes);
 
   /// For passes in the order of the records, in which an element is live if its

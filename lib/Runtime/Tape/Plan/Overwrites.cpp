@@ -21,19 +21,21 @@ struct Used {
   std::vector<char> positions;
   bool anywhere = false;
   bool any = false;
-  /// Elements whose first user is a record that stores them: whole slabs by
-  /// position, other elements as boxes.
+  /// Elements whose first access is a store by a record: elements of whole
+  /// slabs (parts of a field with fixed leading indices), or boxes of elements.
   std::vector<char> stored;
   OwedZeros boxes;
 
-  /// The index of an access along the dimension, or null if it is not fixed.
+  /// Returns the index of an access along the dimension, or null if the index
+  /// is not fixed in a launch.
   const FixedIndex *find(const Access &access) const {
     for (const FixedIndex &fixed : access.fixed)
       if (fixed.dimension == dimension)
         return &fixed;
     return nullptr;
   }
-  /// The position of an access, or -1 if it is not fixed or out of range.
+  /// Returns the position of an access along the dimension, or -1 if the index
+  /// is not fixed or out of range.
   int64_t locate(const Access &access, const uint64_t *args) const {
     const FixedIndex *fixed = find(access);
     if (!fixed)
@@ -93,23 +95,23 @@ struct Repeated {
     /// The access stores nothing.
     None,
     StoresElements,
-    /// Each launch of the kernel stores all elements at the fixed index of the
-    /// access.
+    /// Each launch of the kernel stores all elements of the field at the fixed
+    /// index of the access.
     StoresSlab
   };
   struct Use {
     size_t used;
     const Access *access;
     Effect effect;
-    /// Whether the accessed elements depend on launch arguments.
+    /// True if the accessed elements depend on launch arguments.
     bool varies;
 
     bool stores() const { return effect != Effect::None; }
   };
-  /// The kernel's accesses for which `varies` holds; during the first launch,
-  /// all its accesses.
+  /// The kernel's accesses whose elements depend on launch arguments; during
+  /// the first launch, all its accesses.
   std::vector<Use> uses;
-  /// Whether later launches of the kernel store elements that its first launch
+  /// True if later launches of the kernel store elements that its first launch
   /// has stored.
   bool storesAgain = false;
 };
@@ -159,7 +161,7 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording) {
   };
   std::unordered_map<const Kernel *, Repeated> known;
   std::vector<int64_t> positions;
-  // A host function's own reverse can add to any gradient.
+  // The reverse of a host function can add to any gradient.
   bool isUnknown = false;
   for (size_t i = 0; i < recording.size(); ++i) {
     const TapeRecording::Record &record = recording[i];

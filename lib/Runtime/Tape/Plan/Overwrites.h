@@ -23,7 +23,7 @@
 namespace mlir::tai::runtime {
 
 struct Overwrites {
-  /// For each record, whether it may store elements with an adjoint that an
+  /// For each record, true if it may store elements with an adjoint that an
   /// earlier record has used.
   std::vector<bool> isRepeated;
   /// By adjoint field, the elements that a record stores before any other use:
@@ -35,7 +35,7 @@ struct Overwrites {
 
 Overwrites findOverwrites(const TapeRecording &recording);
 
-/// Whether an access stores all elements at its fixed indices, in all launches.
+/// True if an access stores all elements at its fixed indices, in all launches.
 bool storesSlab(const Access &access);
 
 } // namespace mlir::tai::runtime

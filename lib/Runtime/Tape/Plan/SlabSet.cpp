@@ -63,8 +63,8 @@ unsigned SlabSet::addShape(const std::vector<FixedIndex> &fixed) {
   return static_cast<unsigned>(shapes.size() - 1);
 }
 
-/// Allocates the slab counts of all shapes; call after all shapes have been
-/// added.
+/// Allocates the counts of slabs for all shapes. Must be called after all
+/// shapes (sets of fixed dimensions) have been added.
 void SlabSet::prepare() {
   for (Shape &shape : shapes) {
     for (const Shape &other : shapes) {

@@ -31,8 +31,8 @@ class SlabSet {
 public:
   explicit SlabSet(const Field &field) : field(&field) { addShape({}); }
 
-  /// The number of the set of dimensions that an access fixes. Call for all
-  /// accesses before the first slab is added.
+  /// Returns the number of the shape (the set of dimensions that an access
+  /// fixes). Must be called for all accesses before the first slab is added.
   unsigned addShape(const std::vector<FixedIndex> &fixed);
 
   class Slab {
@@ -44,21 +44,22 @@ public:
     unsigned shape = 0;
     std::array<int64_t, mostDimensions> positions;
   };
-  /// The slab of an access in a launch; the whole field if an index is out of
-  /// range.
+  /// Returns the slab that an access reaches in a launch; the whole field if an
+  /// index is out of range.
   Slab locate(unsigned shape, const std::vector<FixedIndex> &fixed,
               const uint64_t *args) const;
   Slab whole() const { return {}; }
 
   void add(const Slab &slab);
-  /// Removes elements of the slab from the set; it is allowed to keep any of
+  /// Removes elements of the slab from the set, but is allowed to keep any of
   /// them.
   void remove(const Slab &slab);
-  /// Whether the slab may have elements that are in the set.
+  /// True if the slab may have elements that are in the set.
   bool meets(const Slab &slab) const;
 
 private:
-  /// The number of slabs by their positions along the dimensions of `mask`.
+  /// The numbers of slabs in the set, by their positions along the dimensions
+  /// of `mask`.
   class Counts {
   public:
     Counts(unsigned mask, int64_t size);
@@ -73,9 +74,9 @@ private:
   struct Shape {
     /// The dimensions that the shape fixes, as a bit mask over `dimensions`.
     unsigned mask;
-    /// Counts of this shape's slabs by their positions along dimensions in
-    /// common with each shape: counts[shared[i]] for shape i, and counts[own]
-    /// for this shape.
+    /// Counts of slabs of this shape (set of fixed dimensions) by their
+    /// positions along the dimensions in common with each shape:
+    /// counts[shared[i]] for shape i, and counts[own] for this shape.
     std::vector<Counts> counts;
     std::vector<unsigned> shared;
     unsigned own = 0;
@@ -85,7 +86,7 @@ private:
   void prepare();
 
   const Field *field;
-  /// The dimensions that some shape fixes.
+  /// The dimensions of the field that some shape fixes.
   std::vector<int64_t> dimensions;
   std::vector<Shape> shapes;
 };

@@ -13,7 +13,8 @@ using namespace mlir::tai::runtime;
 using Kind = TapeRecording::Kind;
 
 namespace {
-/// Live adjoints during a sweep, from the dirty flags of adjoint fields.
+/// The adjoints that may be non-zero (live) during a sweep, taken from the
+/// dirty flags of adjoint fields.
 struct DirtyAdjoints {
   static bool has(const Field &field) { return field.adjoint()->dirty(); }
   static bool hasAny(const std::vector<Field *> &fields) {
@@ -54,8 +55,9 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
   if (interest == Interest::Leads &&
       (!TapedKernel::targets(kernel).empty() || caller.hasTargets))
     return Decision::Replay;
-  // Any other adjoint only zeroes adjoints of elements that its kernel
-  // overwrote, which matters only to earlier writers of these elements.
+  // Any other adjoint zeroes adjoints of elements that its kernel overwrote,
+  // and does nothing else, which matters only to earlier writers of these
+  // elements.
   if (interest != Interest::None && zeroesAt(index) &&
       live.isOverwritten(record))
     return Decision::Replay;
@@ -101,8 +103,8 @@ void TapePlan::make(const TapeServices &services,
   for (const FieldPtr &field : wanted)
     inputs.wanted.push_back(field.get());
   for (const KernelPtr &kernel : recording.kernels())
-    // Ignore a failure of bind() for a destroyed tree: launching the kernel
-    // reports it.
+    // A failure of bind() because of a destroyed tree is ignored, since
+    // launching the kernel reports it.
     (void)TapedKernel::bind(*kernel, inputs.epoch);
   std::shared_ptr<const KnownPlan> known = services.knownPlan();
   if (known && known->find(recording, inputs, results))
@@ -116,7 +118,8 @@ void TapePlan::make(const TapeServices &services,
     services.setKnownPlan(std::move(made));
 }
 
-/// Decides on records from last to first, following live adjoints.
+/// Decides from the last record to the first which records a sweep replays,
+/// following adjoints that may be non-zero.
 void TapePlan::decideAll(const TapeRecording &recording) {
   std::vector<Decision> &decisions = results.decisions;
   decisions.assign(recording.size(), Decision::SkipUnreached);

@@ -34,18 +34,18 @@ public:
   /// gradients are asked for; all if there are none.
   void make(const TapeServices &services, const TapeRecording &recording,
             std::vector<Field *> live, const std::vector<FieldPtr> &wanted);
-  /// Whether decisions for these records exist, whether or not they are still
+  /// True if decisions for these records exist, whether or not they are still
   /// valid.
   bool isMade(const TapeRecording &recording) const {
     return results.decisions.size() == recording.size();
   }
-  /// Whether the decisions are valid for this storage epoch and these fields
+  /// True if the decisions are valid for this storage epoch and these fields
   /// with non-zero adjoints.
   bool holds(const TapeRecording &recording, uint64_t epoch,
              const std::vector<Field *> &live) const {
     return isMade(recording) && inputs.epoch == epoch && inputs.live == live;
   }
-  /// Decides on a record again, from the adjoints that are dirty now.
+  /// Decides on a record again, from the adjoints that may be non-zero now.
   void decideAgain(const TapeRecording &recording, size_t index);
 
   Decision operator[](size_t index) const { return results.decisions[index]; }
@@ -54,17 +54,17 @@ public:
   bool replaysAny() const;
   int64_t numSkipped() const;
   int64_t numUnwanted() const;
-  /// The statistics counter for a record that is skipped by this decision.
+  /// The statistics counter for a record that is skipped by the given decision.
   static SkipCount counterOf(Decision decision) {
     return decision == Decision::SkipUnwanted ? SkipCount::UnwantedLaunches
                                               : SkipCount::TapeSkipped;
   }
-  /// Whether the adjoint of a record must zero the adjoints of overwritten
-  /// elements.
+  /// True if the adjoint of a record must zero the adjoints of elements that
+  /// the record overwrites.
   bool zeroesAt(size_t index) const {
     return results.overwrites.isRepeated[index];
   }
-  /// Elements whose adjoints are set to zero after the sweep.
+  /// Elements whose adjoints the runtime sets to zero after the sweep.
   const Overwrites::Zeros &zerosAfter() const {
     return results.overwrites.storedOnce;
   }
@@ -78,14 +78,14 @@ private:
                     const std::vector<FieldPtr> &wanted);
   void decideAll(const TapeRecording &recording);
 
-  /// For each record, how its launch matters for the wanted gradients.
+  /// For each record, how much its launch matters for the wanted gradients.
   enum class Interest : uint8_t {
     Leads, // it reads values that depend on wanted fields
     Ends,  // it only overwrites such values
     None
   };
   std::vector<Interest> interests;
-  /// The inputs for which the decisions are valid.
+  /// The inputs of the plan for which the decisions are valid.
   PlanInputs inputs;
   PlanResults results;
 };

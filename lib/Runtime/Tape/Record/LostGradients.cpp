@@ -10,12 +10,12 @@
 
 using namespace mlir::tai::runtime;
 
-/// Whether the field cuts off derivatives: a float field without gradient.
+/// True if the field cuts off derivatives: a float field without gradient.
 static bool endsGradients(const Field &field) {
   return isFloat(field.scalar()) && !field.adjoint() && !field.isAdjoint();
 }
 
-/// Whether there are fields without gradients that some kernel stores to and
+/// True if there are fields without gradients that some kernel stores to and
 /// some kernel reads.
 static bool haveSuspectFields(const std::vector<KernelPtr> &kernels) {
   std::unordered_set<const Field *> stored;
@@ -39,7 +39,7 @@ static bool endsGradients(const FlowPlace &place) {
   return place.isArray() && !place.hasGradient;
 }
 
-/// Whether some kernel stores to an array without gradient, and some kernel
+/// True if some kernel stores to an array without gradient, and some kernel
 /// reads from an array without gradient.
 static bool haveSuspectArrays(const std::vector<KernelPtr> &kernels) {
   bool isStored = false, isRead = false;
@@ -63,7 +63,7 @@ size_t LostGradients::hash(const TapeRecording &recording,
     mix(std::hash<const void *>()(kernel.get()));
   if (!hasArrays)
     return hash;
-  // Add to the hash which launches and host writes share arrays, but no
+  // The hash includes which launches and host writes share arrays, but no
   // addresses, which differ between recordings.
   struct Seen {
     uint64_t end;
@@ -105,7 +105,8 @@ void LostGradients::find(const TapeServices &services,
                          const TapeRecording &recording,
                          const std::vector<Field *> &live,
                          std::vector<std::string> &notes) const {
-  // A loop records the same sequence again and again; check each sequence once.
+  // A loop of the program records the same sequence again and again, so each
+  // sequence is checked once.
   size_t known = hash(recording, haveSuspectArrays(recording.kernels()));
   for (const Field *field : live)
     known = known * 31 + std::hash<const void *>()(field);
@@ -139,7 +140,7 @@ void LostGradients::find(const TapeServices &services,
   want(tracker.cutsOfResults());
   for (const Field *field : live)
     want(tracker.cutsOf(*field));
-  // Report the cuts in program order.
+  // Lost gradients are reported in program order.
   std::sort(cuts.begin(), cuts.end());
   cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
   for (unsigned cut : cuts)

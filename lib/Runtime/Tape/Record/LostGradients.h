@@ -34,7 +34,7 @@ public:
     written.emplace_back(record, array);
   }
 
-  /// Whether kernels of the recording could lose a gradient at all.
+  /// True if kernels of the recording could lose a gradient at all.
   static bool mayHave(const TapeRecording &recording);
   /// Adds a line to `notes` for each kernel and source location where a
   /// derivative is cut off, once in a runtime. `live`: fields whose adjoints
@@ -47,7 +47,7 @@ private:
   /// A hash that is equal for sequences that lose the same gradients.
   size_t hash(const TapeRecording &recording, bool hasArrays) const;
 
-  /// The arrays that have been copied for launches, by the address of the copy.
+  /// The arrays of which launches got copies, by the address of the copy.
   std::unordered_map<uint64_t, ArrayRange> copies;
   std::vector<std::pair<size_t, ArrayRange>> written;
 };

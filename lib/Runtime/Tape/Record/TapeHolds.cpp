@@ -23,8 +23,8 @@ Status TapeHolds::add(const FieldPtr &field, HoldKind kind) {
     used.erase(entry);
     return status;
   }
-  // Zero the gradients that another thread has left: the tape's gradients start
-  // at zero.
+  // Gradients that another thread has left are set to zero, because the tape's
+  // gradients start at zero.
   if (isNew && clears && field->isAdjoint() && field->isDirtiedByOther()) {
     const char zeros[8] = {};
     field->settleZeros();
@@ -41,14 +41,15 @@ Status TapeHolds::add(const Kernel &kernel) {
   for (const Access &access : kernel.summary()) {
     if (status)
       status = add(access.field, holdKindOf(access.kind));
-    // All fields of a tree share its activity, which the launch depends on.
+    // All fields of a tree share the activity of its cells, which the launch
+    // depends on.
     if (status && access.field->sparseNode() && access.field->valid())
       status = add(services.firstOf(access.field->tree()), HoldKind::Write);
     if (access.field->adjoint())
       (access.kind == AccessKind::Read ? reads : changes) = true;
   }
-  // A sweep adds to the gradients of read fields, and treats the gradients of
-  // changed fields as this tape's own.
+  // A reverse sweep adds to the gradients of fields that were read, and treats
+  // the gradients of changed fields as this tape's own.
   if (reads && changes)
     for (const Access &access : kernel.summary())
       if (status && TapedField::adjoint(*access.field))

@@ -26,15 +26,15 @@ public:
       : services(services), tape(tape), clears(clears) {}
 
   bool has(const FieldPtr &field) const { return used.count(field); }
-  /// Holds the fields of a launch, until release(), and takes over gradients
-  /// that other threads have written.
+  /// Holds the fields of a launch for the tape, until release(), and takes over
+  /// gradients that other threads have written.
   Status add(const Kernel &kernel);
   Status add(const FieldPtr &field, HoldKind kind);
   /// The kind of hold that the tape has on gradients to which its sweep adds.
   HoldKind gradientKind() const {
     return clears ? HoldKind::Write : HoldKind::Add;
   }
-  /// Holds all added fields again, for the calling thread.
+  /// Holds all fields that were added before again, for the calling thread.
   Status hold();
   void release();
 

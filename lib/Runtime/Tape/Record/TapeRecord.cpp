@@ -51,10 +51,12 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
                            "another thread records a tape, and a GPU has room "
                            "for one at a time: let it finish first");
   std::unique_ptr<Tape> made(new Tape(runtime, stamp, clears));
-  // An iteration of an optimiser records as many launches as the last one.
+  // The list of records gets room for as many launches as the last recording
+  // had, since an iteration of an optimiser usually records as many as the one
+  // before.
   if (std::shared_ptr<const KnownPlan> last = services.knownPlan())
     made->parts->recording.reserve(last->getLaunches());
-  // From here on, the tape holds its fields.
+  // From here on, the tape holds the fields that it uses.
   Status held = made->parts->holds.hold();
   if (!held)
     return held;
@@ -69,7 +71,7 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
     if (!status)
       return status;
   }
-  // A device's recording includes the clearing of gradients.
+  // A recording on a device includes the launches that clear gradients.
   if (device)
     device->beginRecording();
   Status status;
@@ -97,7 +99,7 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
 }
 
 void Tape::end(bool isSwept) {
-  // Any thread can drop a tape, not only the thread that records it.
+  // Any thread can end a tape, not only the thread that records it.
   if (!std::exchange(parts->isOpen, false))
     return;
   parts->services.endRecording(*this);
@@ -146,8 +148,8 @@ const AccessChecks *Tape::accessChecks() const { return parts->checks.get(); }
 // Launches
 //===----------------------------------------------------------------------===//
 
-/// True if the adjoint may need the state of a field both before and after the
-/// launch: then the kernel may have to be recorded in parts.
+/// True if the adjoint may need the contents of a field both before and after
+/// the launch: then the kernel may have to be recorded in parts.
 static bool readsWhatItChanges(const Kernel &kernel) {
   const std::vector<Access> &summary = kernel.summary();
   return std::any_of(summary.begin(), summary.end(), [&](const Access &read) {
@@ -192,7 +194,8 @@ Status Tape::findUses(Kernel &kernel, const void *&uses) {
   uses = parts->memory.findUses(kernel);
   if (uses && !isAlone)
     return status;
-  // Adopting may take long: another thread may have begun to record meanwhile.
+  // To adopt a kernel may take long: another thread may have begun to record
+  // meanwhile.
   status = adopt(kernel);
   uses = parts->memory.findUses(kernel);
   return status;
@@ -211,8 +214,8 @@ inline Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
                  ? tape.checks->run(launch, kernel, args, results, number)
                  : tape.services.run(launch, kernel, args, results, number);
   if (__builtin_expect(!status.ok(), false)) {
-    // Keep the copies of a failed launch: reversing the next record restores
-    // its changes.
+    // The saved copies of a failed launch are kept, so that reversing the next
+    // record restores its changes.
     tape.memory.settle();
     return status;
   }

@@ -48,8 +48,8 @@ void TapeRecording::keep(Kernel &kernel) {
 void TapeRecording::addCallback(TapeCallback callback, uint64_t start,
                                 uint64_t next) {
   reverseCallbacks |= static_cast<bool>(callback.backward);
-  // Keep launch numbers: called again, the function draws the same random
-  // numbers.
+  // The launches of the function keep their numbers: called again, the function
+  // draws the same random numbers.
   if (!anyLaunch) {
     anyLaunch = true;
     firstLaunch = start;

@@ -35,7 +35,7 @@ public:
     std::vector<Record> records;
     std::vector<uint64_t> slots;
 
-    /// Whether these are the same kernels with the same arguments, whatever the
+    /// True if these are the same kernels with the same arguments, whatever the
     /// numbers of the launches; for recordings of launches only.
     bool operator==(const Launches &other) const;
   };
@@ -56,18 +56,18 @@ public:
   /// The number of the next record.
   uint32_t next() const { return static_cast<uint32_t>(all.records.size()); }
 
-  /// The arguments and the number of a launch.
+  /// The arguments and the number of a recorded launch.
   const uint64_t *args(const Record &record) const {
     return all.slots.data() + record.payload;
   }
   uint64_t number(const Record &record) const {
     return firstLaunch + record.launch;
   }
-  /// The functions of a host function record.
+  /// The functions that the record of a host function calls.
   const TapeCallback &callback(const Record &record) const {
     return callbacks[record.payload];
   }
-  /// The data of a write record.
+  /// The data of a record of a write by the host.
   HostWrite write(const Record &record) const {
     return writes[record.payload]->get();
   }
@@ -78,9 +78,9 @@ public:
   const std::vector<KernelPtr> &kernels() const { return kept; }
   bool hasCallbacks() const { return !callbacks.empty(); }
   bool onlyLaunches() const { return callbacks.empty() && writes.empty(); }
-  /// Whether some host function has a reverse.
+  /// True if some host function of the recording has a reverse.
   bool callsInReverse() const { return reverseCallbacks; }
-  /// Whether a record before this one is a launch.
+  /// True if a record before the given one is a launch.
   bool launchesBefore(size_t index) const {
     return std::any_of(
         begin(), begin() + static_cast<ptrdiff_t>(index),
@@ -91,7 +91,7 @@ public:
   /// kernels, in the order of the records.
   std::vector<FieldOverwrite> overwrites() const;
 
-  /// Keeps a launched kernel alive.
+  /// Keeps a launched kernel alive as long as the recording.
   void keep(Kernel &kernel);
   void addLaunch(Kernel &kernel, const uint64_t *args, uint64_t number) {
     if (!anyLaunch) {
@@ -106,9 +106,11 @@ public:
   /// `start`: the number of the function's first launch (or the number that it
   /// would have). `next`: the number of the first launch after the function.
   void addCallback(TapeCallback callback, uint64_t start, uint64_t next);
-  /// Owns the data that a HostWrite refers to.
+  /// A recorded write of the host, which owns the data that its HostWrite
+  /// refers to.
   struct Write {
-    /// Copies the data; `status` is a failure if the host interrupts it.
+    /// Copies the data of a write; `status` is a failure if the host interrupts
+    /// the copy.
     static std::unique_ptr<Write> make(FieldPtr field, const HostWrite &write,
                                        Status &status);
     HostWrite get() const;

@@ -33,7 +33,8 @@ Status ChangeWatch::check(const TapeMemory &memory,
     if (TapedField::hostVersion(*field) != version)
       byHost.push_back(field.get());
   services.forEachKernel([&](Kernel &kernel) {
-    // A kernel without code has not run; its summary may be unfinished.
+    // A kernel without code has not run, and its summary of accesses may be
+    // unfinished.
     if (endLaunch > 0 && kernel.resolved() &&
         TapedKernel::lastLaunch(kernel).load(std::memory_order_relaxed) >=
             endLaunch)

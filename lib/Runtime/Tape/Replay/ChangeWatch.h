@@ -22,7 +22,8 @@ class ChangeWatch {
 public:
   explicit ChangeWatch(TapeServices services) : services(services) {}
 
-  /// Call when the sequence has run: check() reports changes after this call.
+  /// Begins to watch the fields of the sequence: check() reports changes after
+  /// this call. Must be called when the sequence has run.
   void begin(const TapeMemory &memory);
   /// Fails if a field has changed whose values the reverse sweep needs. Adds a
   /// line to `notes` for other fields of the sequence that have changed. Sets
@@ -32,9 +33,10 @@ public:
 
 private:
   TapeServices services;
-  /// The fields of the sequence, with their Field::version() at begin().
+  /// The fields of the recorded sequence, with their Field::version() at
+  /// begin().
   std::vector<std::pair<FieldPtr, uint64_t>> versions;
-  /// The number that the next launch had at begin().
+  /// The number that the next launch had when begin() was called.
   uint64_t endLaunch = 0;
 };
 

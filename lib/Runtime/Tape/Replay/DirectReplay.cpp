@@ -29,7 +29,7 @@ bool DirectReplay::findReverse(const TapePlan &plan,
       return false;
   adjoints.clear();
   targets.clear();
-  // A sequence repeats few kernels: check each adjoint once.
+  // A sequence repeats few kernels, so each adjoint is checked once.
   std::vector<const Kernel *> known;
   for (uint32_t index : plan.replayed()) {
     Kernel *adjoint = nullptr;

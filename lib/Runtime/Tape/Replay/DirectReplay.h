@@ -29,14 +29,15 @@ public:
   DirectReplay(TapeServices services, const TapeRecording &recording)
       : services(services), recording(recording) {}
 
-  /// Whether the kernels of the recording can be called directly.
+  /// True if the kernels of the recording can be called directly, without the
+  /// runtime's other steps of a launch.
   bool findForward() const;
-  /// Whether the adjoints of the plan can be called directly; keeps them for
+  /// True if the adjoints of the plan can be called directly; keeps them for
   /// runReverse.
   bool findReverse(const TapePlan &plan, const AdjointForms &forms);
 
-  /// Run the sequence; call only after findForward or findReverse,
-  /// respectively, has returned true.
+  /// Run the recorded sequence forward or in reverse. Must be called only after
+  /// findForward or findReverse, respectively, has returned true.
   Status runForward(Launch &launch) const;
   Status runReverse(Launch &launch, const TapePlan &plan) const;
 
@@ -45,9 +46,9 @@ private:
 
   TapeServices services;
   const TapeRecording &recording;
-  /// The adjoint of each record that the plan replays.
+  /// The adjoint kernel of each record that the plan replays.
   std::vector<Kernel *> adjoints;
-  /// The adjoint fields that the kernels in `adjoints` change.
+  /// The adjoint fields that the adjoint kernels change.
   std::vector<Field *> targets;
 };
 

@@ -37,8 +37,8 @@ private:
 };
 
 /// Re-executes one record, with the same random numbers. `changesMemory`: the
-/// record is a host function that changed memory; fails if it cannot be called
-/// again.
+/// record is a host function that changed memory; this fails if the function
+/// cannot be called again.
 Status replayRecord(const TapeServices &services,
                     const TapeRecording &recording, Launch &launch,
                     size_t index, bool changesMemory);

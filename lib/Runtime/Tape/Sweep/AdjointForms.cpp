@@ -23,7 +23,8 @@ bool AdjointForms::loadsStored(size_t index) const {
 Status AdjointForms::find(size_t index, Kernel *&adjoint) const {
   Kernel &kernel = *recording[index].kernel;
   bool zeroes = plan.zeroesAt(index);
-  // known() finds an adjoint made before, without the lock of resolveAdjoint().
+  // known() finds an adjoint that was made before, without the lock of
+  // resolveAdjoint().
   if (loadsStored(index)) {
     adjoint = TapedKernel::known(kernel, zeroes, /*stored=*/true);
     if (adjoint)
@@ -40,8 +41,8 @@ std::vector<PendingAdjoint> AdjointForms::pending() const {
   std::vector<PendingAdjoint> pending;
   for (uint32_t index : plan.replayed()) {
     Kernel *kernel = recording[index].kernel;
-    // A launch that is replayed only because pruning is off can lack a
-    // derivative.
+    // A launch that is replayed only because pruning is off is skipped, since
+    // its kernel may have no derivative.
     if (!kernel || plan[index] == TapePlan::Decision::Unpruned)
       continue;
     PendingAdjoint entry = {kernel, plan.zeroesAt(index), loadsStored(index)};

@@ -31,14 +31,14 @@ public:
   /// that is not recorded.
   void setLostStored(bool lost) { lostStored = lost; }
 
-  /// Whether the adjoint of a launch should be the variant that loads stored
-  /// outputs, if it exists.
+  /// True if the adjoint of a launch should be the variant that loads stored
+  /// outputs, if this variant exists.
   bool loadsStored(size_t index) const;
-  /// The adjoint of a launch, in the variant of the plan, compiled if
-  /// necessary; null if there is nothing to differentiate.
+  /// Gives the adjoint of a launch, in the variant that the plan chose,
+  /// compiled if necessary; null if there is nothing to differentiate.
   Status find(size_t index, Kernel *&adjoint) const;
   /// The adjoints that a sweep by the plan needs and that have not been
-  /// requested.
+  /// compiled or requested.
   std::vector<PendingAdjoint> pending() const;
 
 private:

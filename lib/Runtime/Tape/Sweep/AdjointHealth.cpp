@@ -29,7 +29,8 @@ static void examineElement(const Field &adjoint, const char *address,
   }
 }
 
-/// Like examineElements, for a sparse field: only active cells have values.
+/// Examines the elements of a sparse adjoint at one position along a dimension,
+/// like examineElements: only active cells have values.
 static void examineCells(const Field &adjoint, int64_t dimension,
                          int64_t position, RecordHealth &found) {
   CellElements elements(adjoint);
@@ -93,7 +94,8 @@ void AdjointHealth::examine(const TapeRecording &recording, size_t index) {
   const TapeRecording::Record &record = recording[index];
   const uint64_t *args = recording.args(record);
   for (const Field *field : TapedKernel::targets(*record.kernel)) {
-    // Examine the position that all reads share, or else the whole field.
+    // Examines the position that all reads of the record share, or else the
+    // whole field.
     int64_t dimension = -1, position = -1;
     bool any = false, whole = false;
     for (const Access &access : record.kernel->summary()) {

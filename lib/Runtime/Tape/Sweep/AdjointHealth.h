@@ -24,7 +24,7 @@ public:
     examined.clear();
   }
   bool isWatching() const { return watching; }
-  /// Call at the start of a sweep.
+  /// Forgets the findings. Must be called at the start of a sweep.
   void clear() { examined.clear(); }
 
   /// Examine adjoints after the adjoint of launch `index`, or after the reverse
@@ -33,7 +33,8 @@ public:
   void examine(const TapeRecording &recording, size_t index);
   void examine(size_t index, const std::vector<Field *> &live);
 
-  /// The findings of the last sweep, in the order in which it visited records.
+  /// The findings about adjoints in the last sweep, in the order in which it
+  /// visited records.
   const std::vector<RecordHealth> &found() const { return examined; }
 
 private:

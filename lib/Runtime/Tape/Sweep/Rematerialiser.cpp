@@ -29,8 +29,8 @@ void Rematerialiser::restart() {
   executedAt.clear();
 }
 
-/// Calls body(track, range) for each part that the record can change and that
-/// the tape restores (TapeMemory::followedFor).
+/// Calls body(track, range) for each part of a field that the record can change
+/// and that the tape restores (TapeMemory::followedFor).
 template <typename Body>
 Status Rematerialiser::forEachChange(size_t index, const Body &body) {
   const TapeRecording::Record &record = recording[index];
@@ -68,7 +68,7 @@ Status Rematerialiser::recompute(Launch &launch, size_t index, bool saving,
     status = memory.beforeReplay(static_cast<uint32_t>(index),
                                  static_cast<uint32_t>(oldest));
   topology.beginReexecution(static_cast<uint32_t>(index));
-  // Do not repeat a host write that changes only tangents of gradients.
+  // A host write that changes only tangents of gradients is not repeated.
   if (status &&
       (changesFollowed || recording[index].kind != TapeRecording::Kind::Write))
     status = replayRecord(services, recording, launch, index,
@@ -89,7 +89,7 @@ Status Rematerialiser::recomputeRange(Launch &launch, size_t from, size_t to) {
   return status;
 }
 
-/// Whether the sweep has anything to do at the record.
+/// True if the sweep has anything to do at the record.
 bool Rematerialiser::mayNeed(size_t index) const {
   return recording.callsInReverse() || TapePlan::isReplayed(plan[index]);
 }
@@ -132,7 +132,7 @@ bool Rematerialiser::isShort(size_t from, size_t to) const {
                           static_cast<uint32_t>(to)) <= room;
 }
 
-/// Drops the topmost snapshot, and restores memory to the one before it.
+/// Drops the topmost snapshot, and restores memory to the snapshot below it.
 Status Rematerialiser::dropTop() {
   Status status = checkpoints->restore();
   if (!status)
@@ -154,7 +154,7 @@ Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
       return reverseSaving(launch, from, to);
     int64_t free = freeSnapshots();
     if (free <= 0) {
-      // Re-execute from this snapshot for every record.
+      // Every record of this range is re-executed from this one snapshot.
       status = recomputeRange(launch, from, to - 1);
       if (status)
         status = reverseSaving(launch, to - 1, to);
@@ -232,7 +232,8 @@ Status Rematerialiser::sweep() {
   Status status = checkpoints->checkBudget(leaf);
   if (!status)
     return status;
-  // Until the final contents are saved, a failure leaves everything unchanged.
+  // Until the final contents of memory are saved, nothing has been changed, so
+  // a failure can simply return.
   status = checkpoints->keepFinal();
   if (!status)
     return status;
@@ -249,15 +250,15 @@ Status Rematerialiser::sweep() {
     throw;
   }
   checkpoints->restoreFinal();
-  // Merge all snapshots into the first one, which covers all records; also
+  // All snapshots are merged into the first one, which covers all records; also
   // after a failure.
   while (checkpoints->count() > 1)
     checkpoints->pop();
   return status;
 }
 
-/// Runs the sequence again, with new snapshots, if an earlier sweep has left
-/// only the first one.
+/// Runs the recorded sequence again, with new snapshots, if an earlier sweep
+/// has left only the first snapshot.
 Status Rematerialiser::recomputeAll(Launch &launch) {
   Status status = checkpoints->restore();
   if (!status)

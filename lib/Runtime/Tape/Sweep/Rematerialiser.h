@@ -28,16 +28,17 @@ public:
       : services(services), recording(recording), plan(plan), memory(memory),
         topology(topology), reverse(reverse) {}
 
-  /// Whether there is a policy; setPolicy sets one, before anything is
-  /// recorded.
+  /// isOn: true if the tape has a checkpoint policy. setPolicy sets one, before
+  /// anything is recorded.
   bool isOn() const { return checkpoints != nullptr; }
   Status setPolicy(CheckpointPolicy policy);
 
   /// Resets counts of re-execution, before the sequence runs from its start.
   void restart();
-  /// Runs the sequence again, forward, with new snapshots.
+  /// Runs the recorded sequence again, forward, with new snapshots.
   Status replay(Launch &launch);
-  /// Runs the reverse sweep by the plan. Afterwards memory is as before.
+  /// Runs the reverse sweep by the plan. Afterwards memory has the same
+  /// contents as before.
   Status sweep();
 
   /// The number of times that the record has been re-executed.
@@ -67,10 +68,10 @@ private:
   TapeTopology &topology;
   ReverseSweep &reverse;
   std::unique_ptr<Checkpoints> checkpoints;
-  /// The number of re-executions, in total and of each record.
+  /// The number of re-executions of records, in total and of each record.
   int64_t executed = 0;
   std::vector<uint32_t> executedAt;
-  /// Whether a sweep has run: after it, only the first snapshot is left.
+  /// True if a sweep has run: after it, only the first snapshot is left.
   bool sweptBefore = false;
 };
 

@@ -67,8 +67,8 @@ Status ReverseSweep::runAdjoint(Launch &launch, size_t index) {
   const TapeRecording::Record &record = recording[index];
   Kernel &kernel = *record.kernel;
   const uint64_t *args = recording.args(record);
-  // Skip a launch if the adjoints of its results and of the fields that it
-  // changes are zero.
+  // A launch is skipped if the adjoints of its results and of the fields that
+  // it changes are zero.
   const std::vector<Field *> &sources = TapedKernel::sources(kernel);
   const CallerAdjoints &caller = kernel.callerAdjoints();
   if (services.skips(Skip::DeadLaunches) && !caller.results.empty() &&
@@ -118,7 +118,7 @@ Status ReverseSweep::zeroWritten(const HostWrite &write) {
     zero.what = HostWrite::What::Fill;
   if (!services.perform(zero, FieldCopies::Interrupts::Stop))
     return failAsInterrupted();
-  // In forward mode, zero the tangent of the adjoint as well.
+  // In forward mode, the tangent of the adjoint is zeroed as well.
   zero.field = services.isForward() ? adjoint->dual() : nullptr;
   if (zero.field && !services.perform(zero, FieldCopies::Interrupts::Stop))
     return failAsInterrupted();
@@ -126,8 +126,8 @@ Status ReverseSweep::zeroWritten(const HostWrite &write) {
 }
 
 Status ReverseSweep::findLoops(Kernel &kernel, LoopLists &lists) {
-  // The current activity is the one after the whole host function, not after
-  // the single launch in it.
+  // The lists hold the activity after the whole host function, since the
+  // activity after the single launch in it is not known.
   for (SparseNode *node : TapedKernel::sparseNodes(kernel))
     lists.addUnknown(
         *node, node->list(),

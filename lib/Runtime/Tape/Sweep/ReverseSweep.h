@@ -35,7 +35,7 @@ public:
   /// Runs all records, with a decision on each at its turn: host functions may
   /// have written adjoints in ways that the plan does not know.
   Status runDeciding(Launch &launch);
-  /// Reverses one record, as a step of runDeciding or of a checkpointed sweep.
+  /// Reverses one record: a step of runDeciding or of a sweep with checkpoints.
   Status reverse(Launch &launch, size_t index);
 
   /// During the reverse of a host function: the cells that the loops of a
@@ -52,14 +52,15 @@ private:
   Status replay(Launch &launch, size_t index);
   Status runAdjoint(Launch &launch, size_t index);
   Status callHost(size_t index);
-  /// Zeroes the adjoints of elements that the host has written.
+  /// Zeroes the adjoints of elements that the host has written during the
+  /// recording.
   Status zeroWritten(const HostWrite &write);
   /// Fails if the adjoint of a kernel reads activity that the record itself has
   /// changed.
   Status checkActivity(Kernel &kernel, size_t index) const;
 
   TapeServices services;
-  /// The tape of this sweep, which host functions get for their launches.
+  /// The tape of this sweep, which host functions use for their launches.
   Tape &tape;
   const TapeRecording &recording;
   TapePlan &plan;
@@ -67,7 +68,7 @@ private:
   TapeMemory &memory;
   TapeTopology &topology;
   AdjointHealth &health;
-  /// The host function whose reverse is running.
+  /// The number of the host function whose reverse is running.
   size_t hostFunction = 0;
 };
 

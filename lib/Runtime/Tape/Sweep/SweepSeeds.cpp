@@ -47,8 +47,8 @@ Status SweepSeeds::add(FieldPtr loss, TapeHolds &holds) {
   if (has(*loss))
     return Status::failure(StatusCode::Usage,
                            "the loss '" + loss->name() + "' is given twice");
-  // The sweep sets the adjoint of the loss, which this thread must be allowed
-  // to do, and then adds to it.
+  // The reverse sweep sets the adjoint of the loss, which this thread must be
+  // allowed to do, and then adds to it.
   FieldPtr adjoint = TapedField::adjoint(*loss);
   Status status = services.checkHold(*loss, HoldKind::Write);
   if (status)
@@ -63,7 +63,7 @@ Status SweepSeeds::add(FieldPtr loss, TapeHolds &holds) {
 }
 
 void SweepSeeds::clearSum(Field &loss) const {
-  // Sets a loss that is a sum to zero, since kernels only add to it.
+  // A loss that is a sum is set to zero, since kernels only add to it.
   const char zeros[8] = {};
   if (isSum(loss))
     services.perform({HostWrite::What::Fill, &loss, zeros});

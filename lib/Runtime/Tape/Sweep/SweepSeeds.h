@@ -23,13 +23,14 @@ public:
 
   bool empty() const { return losses.empty(); }
   bool has(const Field &field) const;
-  /// The names of the losses: "'loss', 'other'".
+  /// The names of the losses as text: "'loss', 'other'".
   std::string names() const;
 
   /// Adds a loss, which the tape holds from then on. A field of one number is
   /// treated as a sum: it is set to zero, and its seed is 1.
   Status add(FieldPtr loss, TapeHolds &holds);
-  /// Sets the seed of a loss: a row-major array of its adjoint's scalar type.
+  /// Sets the seed of a loss, the initial value of its adjoint: a row-major
+  /// array of the adjoint's scalar type.
   Status set(const Field &loss, const void *array);
   /// Sets the losses that are sums to zero, before the sequence runs again.
   void clearSums() const;

@@ -63,7 +63,7 @@ class Batch:
 
         Args:
             dtype: a type of numbers, vectors, matrices or structs.
-            shape: of the part of one world.
+            shape: the shape of the field in one world.
             name, needs_grad, needs_dual: as for `ti.field`.
         """
         shape = (shape,) if isinstance(shape, (int, np.integer)) else tuple(shape)

@@ -40,7 +40,7 @@ def check(
             weighted by random numbers.
         wrt: the fields to check; all that the target reads if left out. They need gradients.
         directions: how many random directions for each field.
-        seed: of the random directions.
+        seed: the seed of the random directions.
         tolerance: greatest relative error of the differences; 1e-7 for f64, 5e-3 for f32.
         forward_tolerance: greatest relative error against forward mode; 1e-12 and 1e-4.
         bisect: if a gradient is wrong, search the first kernel at fault.

@@ -36,8 +36,8 @@ class HealthRow:
         kernel: name of the kernel, or of the host function.
         field: whose adjoint it is. If the field has a time axis: the part that the record reads.
         nans, infs: how many of its numbers are none, or infinite.
-        max_abs, norm: of the finite numbers.
-        symbol: of the field in the IR.
+        max_abs, norm: the greatest magnitude, and the norm, of the finite numbers.
+        symbol: the symbol of the field in the IR.
     """
 
     record: int
@@ -97,7 +97,7 @@ class HealthReport:
     Attributes:
         rows: one for each record that was replayed and each field whose adjoint it adds to,
             in the order of the sweep (last record first).
-        kernels: the same by kernel.
+        kernels: the rows combined by kernel.
         findings: the problems found.
         flat: names of fields on which the loss does not depend.
     """

@@ -201,7 +201,7 @@ def _compress(
 
     Args:
         what: a row is a number of this: "output".
-        bits: of the narrowest field of a product.
+        bits: the width of the narrowest field in a product.
     """
     sparse, _ = get_scipy()
     rows, columns = pattern.tocoo().coords

@@ -40,8 +40,8 @@ class FieldPrecision:
             field does not fit.
         is_accumulated: kernels add to it, so that a narrower type would round each sum on its
             way: no type is proposed for it.
-        bytes: that it takes now.
-        greatest: of the magnitudes that it holds.
+        bytes: the bytes that the field takes now.
+        greatest: the greatest magnitude of its elements.
     """
 
     name: str

@@ -88,14 +88,14 @@ class Version(native.WithBlock):
     """Runs a program with other types of fields and other modes while the `with` block runs.
 
     Attributes:
-        key: by which its code is found, besides arguments.
+        key: a key by which compiled code is found, besides the arguments.
         modes: words of kernels, as those of `ti.kernel`; words of a kernel's own go first.
-        kinds: by the identity of a place, the type that it has.
+        kinds: the types of storage places, by the identity of the place.
         loaded, stored, accumulated: symbols of the fields that its kernels use.
         places: the places of floats that they use.
         writes: lines about arrays of the caller that they write to.
         seconds: the least time of an iteration.
-        tolerances: by which those of solvers are multiplied.
+        tolerances: the factor by which the tolerances of solvers are multiplied.
     """
 
     def __init__(

@@ -63,8 +63,9 @@ class Probes:
     kernels share the numbers.
 
     Attributes:
-        field: of f64, all 0, whose gradient they are.
-        sweep: the last one, or the one that is recorded.
+        field: a field of f64 whose gradient has the estimates; its values are 0, except that a
+            1 marks a place whose rounding is simulated.
+        sweep: the results of the last reverse sweep, or of the one that runs.
     """
 
     def __init__(self) -> None:

@@ -305,7 +305,7 @@ class Tape(native.WithBlock):
                 numbers, vectors and matrices that kernels returned under the tape, numbers
                 computed from these, and arrays with a gradient. And a dictionary of seeds for
                 fields that have a gradient, arrays of their shapes. Losses of the tape that are
-                not among them start from zero. Nothing is `grad()`.
+                not among them start from zero. `backward()` without arguments is `grad()`.
 
         Raises:
             TaiRuntimeTypeError: a value that is none of these, or a seed that does not fit.

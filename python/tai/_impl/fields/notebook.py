@@ -71,10 +71,10 @@ def kernel_html(kernel: Any, function: Any, last: Any, count: int) -> str:
     """HTML of a kernel for notebooks: a click shows the source of the kernel, another click its IR.
 
     Args:
-        kernel: of which the first line is.
-        function: of which it was made.
-        last: its specialisation that was used last, or None.
-        count: of its specialisations.
+        kernel: the text of the kernel for the first line.
+        function: the Python function of the kernel.
+        last: the specialisation that was used last, or None.
+        count: the number of specialisations.
     """
     state = "not compiled yet: its first call compiles it"
     if last is not None:

@@ -63,7 +63,7 @@ def _with_gradient(array: Any, grad: Any) -> Any:
 
 
 class _Task:
-    """What XLA calls: the forward run of an operator, or its gradient by some inputs, for operands
+    """A call by XLA: the forward run of an operator, or its gradient by some inputs, for operands
     with a number of batch dimensions.
     """
 
@@ -233,8 +233,8 @@ class Operator:
         """Computes the outputs of the operator from arrays and numbers.
 
         Args:
-            inputs: one for each parameter that is no output, in order.
-            named: the same, by name.
+            inputs: an array or number for each parameter that is no output, in order.
+            named: inputs given by name.
 
         Returns:
             The output, or a tuple of them in the order of the parameters.
@@ -440,11 +440,12 @@ class _OfBatch(Operator):
     """An operator whose kernel runs for all elements of a batch at once."""
 
     def __init__(self, one: Operator, kernel: StackedKernel, names: Iterable[str]):
-        """
+        """Makes the operator of a batch.
+
         Args:
             one: the operator for one element.
-            kernel: that of the batch.
-            names: of the inputs that have a batch, along their first dimension.
+            kernel: the kernel that runs for all elements of the batch.
+            names: the names of the inputs whose first dimension is that of the batch.
         """
         super().__init__(kernel, one._shapes)
         self._has_batch = [name in names for name in one.inputs]

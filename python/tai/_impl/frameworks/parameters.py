@@ -17,7 +17,7 @@ def kinds_of(function: Any, user: str) -> dict[str, str]:
     """The parameters of a kernel or function: `array`, or the type of a number.
 
     Args:
-        function: for which they are wanted.
+        function: the kernel or function.
         user: the function of the package that wraps it, for messages.
 
     Raises:
@@ -67,8 +67,8 @@ def in_order(what: str, names: list[str], inputs: tuple, named: dict[str, Any]) 
 
     Args:
         what: the operator, for messages.
-        names: of its inputs.
-        inputs, named: as the call gives them.
+        names: the names of the inputs.
+        inputs, named: the positional and keyword arguments of the call.
 
     Raises:
         TaiRuntimeTypeError: one is missing, given twice, or unknown.
@@ -89,9 +89,9 @@ def check_outputs(function: str, outputs: Any, kinds: dict[str, str], like: str)
     """Refuses outputs that are no parameters, or whose shape is not said.
 
     Args:
-        function: its name.
-        outputs: as the user gives them.
-        kinds: of all parameters.
+        function: the name of the kernel or function.
+        outputs: the argument `outputs` of the user.
+        kinds: the kinds of all parameters.
         like: how the framework writes an array by which an output is described.
 
     Raises:

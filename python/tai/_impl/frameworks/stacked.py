@@ -22,9 +22,10 @@ class Stacks:
     def __init__(
         self, function: Any, outputs: Sequence[str], make: Callable[[StackedKernel, list[str]], Any]
     ):
-        """
+        """Makes an empty collection of operators for batches.
+
         Args:
-            function: that of the operator for one element.
+            function: the kernel or function of the operator for one element.
             outputs: the names of its results.
             make: the operator of a kernel for batches, and the names of the inputs that have one.
         """

@@ -220,7 +220,7 @@ class Operator:
         Args:
             call: calls an operator.
             info, in_dims, args: as torch gives them; the inputs, and the adjoints of outputs.
-            wanted: for a gradient, which tensors it is by.
+            wanted: for a gradient, the tensors with respect to which it is computed.
         """
         moved = [a if d is None else a.movedim(d, 0) for a, d in zip(args, in_dims, strict=True)]
         flags = iter(() if wanted is None else wanted)
@@ -352,7 +352,7 @@ class Operator:
         """Returns the gradients with respect to those inputs for which `needs` has a flag.
 
         Args:
-            inputs: of the call.
+            inputs: the inputs of the call.
             bars: the adjoints of its outputs.
             needs: for each input.
         """
@@ -410,8 +410,8 @@ class Operator:
         """Computes the outputs of tensors and numbers, as torch's own functions do.
 
         Args:
-            inputs: one for each parameter that is no output, in order.
-            named: the same, by name.
+            inputs: a tensor or number for each parameter that is no output, in order.
+            named: inputs given by name.
 
         Returns:
             The output, or a tuple of them in the order of the parameters.
@@ -491,11 +491,12 @@ class _OfBatch(Operator):
     """An operator whose kernel runs for all elements of a batch at once."""
 
     def __init__(self, one: Operator, kernel: StackedKernel, names: Iterable[str]):
-        """
+        """Makes the operator of a batch.
+
         Args:
             one: the operator for one element.
-            kernel: that of the batch.
-            names: of the inputs that have a batch, along their first dimension.
+            kernel: the kernel that runs for all elements of the batch.
+            names: the names of the inputs whose first dimension is that of the batch.
         """
         self._one, self._has_batch = one, [name in names for name in one.inputs]
         super().__init__(kernel, one._shapes, "_".join([one.name, "for", *names]))

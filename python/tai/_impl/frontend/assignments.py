@@ -30,7 +30,7 @@ class Assignments(Part):
     """The part of the compiler that handles assignments.
 
     Args:
-        context, compile_time, checks, expressions: below it.
+        context, compile_time, checks, expressions: other parts of the compiler, which it uses.
     """
 
     def __init__(

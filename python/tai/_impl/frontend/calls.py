@@ -70,8 +70,8 @@ class Calls(Part):
     """The part of the compiler that handles calls.
 
     Args:
-        context, compile_time, checks, levels, expressions, printing, inlining, loop_config: below
-            it.
+        context, compile_time, checks, levels, expressions, printing, inlining, loop_config:
+            other parts of the compiler, which it uses.
     """
 
     def __init__(

@@ -123,7 +123,7 @@ class Checks(Part):
     """The part of the compiler that looks at calls of Python functions.
 
     Args:
-        context, compile_time: below it.
+        context, compile_time: other parts of the compiler, which it uses.
     """
 
     def __init__(self, context: Context, compile_time: CompileTime):

@@ -31,7 +31,7 @@ class Expressions(Part):
     """The part of the compiler that evaluates expressions other than arithmetic and calls.
 
     Args:
-        context, compile_time, checks, levels: below it.
+        context, compile_time, checks, levels: other parts of the compiler, which it uses.
     """
 
     def __init__(self, context: Context, compile_time: CompileTime, checks: Checks, levels: Levels):

@@ -27,7 +27,7 @@ class Inlining(Part):
     """The part of the compiler that compiles a `ti.func` in place of its call.
 
     Args:
-        context, returns, loop_config: below it.
+        context, returns, loop_config: other parts of the compiler, which it uses.
     """
 
     def __init__(self, context: Context, returns: Returns, loop_config: LoopConfig):

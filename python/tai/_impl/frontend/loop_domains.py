@@ -41,7 +41,7 @@ class LoopDomains(Part):
     """The part of the compiler that finds the domain of a `for` and gives it its variables.
 
     Args:
-        context, expressions: below it.
+        context, expressions: other parts of the compiler, which it uses.
     """
 
     def __init__(self, context: Context, expressions: Expressions):
@@ -189,7 +189,7 @@ class LoopDomains(Part):
         grouped to a vector.
 
         Args:
-            field: that the loop runs over, for a hint.
+            field: the field over which the loop runs, for a hint.
         """
         return self.guarded(
             lambda target: self._names_in(target, rank, grouped, field), node.target

@@ -22,7 +22,8 @@ class Loops(Part):
     """The part of the compiler that handles `for`.
 
     Args:
-        context, compile_time, loop_config, domains, statements, serial, parallel: below it.
+        context, compile_time, loop_config, domains, statements, serial, parallel: other parts
+            of the compiler, which it uses.
     """
 
     def __init__(

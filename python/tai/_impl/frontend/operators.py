@@ -64,7 +64,7 @@ class Operators(Part):
     """The part of the compiler that handles operators.
 
     Args:
-        context, compile_time: below it.
+        context, compile_time: other parts of the compiler, which it uses.
     """
 
     def __init__(self, context: Context, compile_time: CompileTime):

@@ -26,7 +26,7 @@ class ParallelLoops(Part):
     """The part of the compiler that makes loops at the top of a kernel.
 
     Args:
-        context, levels, serial_work, regions, domains: below it.
+        context, levels, serial_work, regions, domains: other parts of the compiler, which it uses.
     """
 
     def __init__(

@@ -218,7 +218,7 @@ class Printing(Part):
     """The part of the compiler that handles text.
 
     Args:
-        context, expressions: below it.
+        context, expressions: other parts of the compiler, which it uses.
     """
 
     def __init__(self, context: Context, expressions: Expressions):

@@ -21,7 +21,7 @@ class Regions(Part):
     """The part of the compiler that makes branches, and hands variables into regions and out.
 
     Args:
-        context, compile_time, returns: below it.
+        context, compile_time, returns: other parts of the compiler, which it uses.
     """
 
     def __init__(self, context: Context, compile_time: CompileTime, returns: Returns):

@@ -95,7 +95,7 @@ class Returns(Part):
     """The part of the compiler that handles `return`.
 
     Args:
-        context, parameters: below it.
+        context, parameters: other parts of the compiler, which it uses.
     """
 
     def __init__(self, context: Context, parameters: Parameters):

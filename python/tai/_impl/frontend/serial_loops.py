@@ -24,7 +24,7 @@ class SerialLoops(Part):
     """The part of the compiler that makes `for` loops whose iterations run one after another.
 
     Args:
-        context, serial_work, returns, regions, domains: below it.
+        context, serial_work, returns, regions, domains: other parts of the compiler, which it uses.
     """
 
     def __init__(

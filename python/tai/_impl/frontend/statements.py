@@ -46,7 +46,8 @@ class Statements(Part):
     """The part of the compiler that handles blocks of statements, branches and assertions.
 
     Args:
-        context, compile_time, printing, returns, regions: below it.
+        context, compile_time, printing, returns, regions: other parts of the compiler, which it
+            uses.
     """
 
     def __init__(

@@ -184,8 +184,8 @@ def changes_struct(type_: StructType, name: str, known: dict[tuple, bool]) -> bo
     """Whether a method may change the struct on which it is called.
 
     Args:
-        type_: of the struct.
-        name: of the method.
+        type_: the type of the struct.
+        name: the name of the method.
         known: earlier results, by type and name.
     """
     if (type_, name) not in known:

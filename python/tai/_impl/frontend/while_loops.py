@@ -21,7 +21,7 @@ class WhileLoops(Part):
     """The part of the compiler that handles `while`, `break` and `continue`.
 
     Args:
-        context, returns, regions: below it.
+        context, returns, regions: other parts of the compiler, which it uses.
     """
 
     def __init__(self, context: Context, returns: Returns, regions: Regions):

@@ -126,9 +126,10 @@ class Reading:
     """
 
     def __init__(self, frame: Any, recording: Any, opened: int = 0):
-        """
+        """Begins to read around one place of the program.
+
         Args:
-            frame: of the place.
+            frame: the Python frame of the place.
             recording: the code that has opened the tape.
             opened: the line in which it has; 0 if none is open.
         """
@@ -204,14 +205,16 @@ class Scope:
         self, reading: Reading, body: ast.AST | None, names: list[dict[str, Any]], depth: int,
         tainted: set[str] | None = None, caller: int | None = None,
     ):  # fmt: skip
-        """
+        """Keeps a text, in which values with a history are found later.
+
         Args:
-            reading: that it belongs to.
+            reading: the reading to which the text belongs.
             body: the text.
             names: dictionaries that give names their values.
-            depth: of calls that are followed.
+            depth: the depth to which calls are followed.
             tainted: paths with a history to begin with.
-            caller: its number in the reading; None for a function that is followed into.
+            caller: the number of the text among the callers; None for the text of a called
+                function.
         """
         self._reading, self._body, self._names, self._depth = reading, body, names, depth
         self._nodes = [] if body is None else list(ast.walk(body))

@@ -20,10 +20,11 @@ class StackedKernel(Kernel):
     """
 
     def __init__(self, kernel: Kernel, names: Iterable[str]):
-        """
+        """Makes the kernel for a batch.
+
         Args:
-            kernel: for one element.
-            names: of the arrays that have the dimension; others are the same for all elements.
+            kernel: the kernel for one element.
+            names: the arrays that have the dimension; others are the same for all elements.
         """
         super().__init__(kernel._function, kernel._is_method, kernel._modes)
         self.batch = Stack(names)

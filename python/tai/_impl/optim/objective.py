@@ -40,7 +40,7 @@ class Objective:
 
     Args:
         function: a tape with a loss, or a function that runs one and returns the loss.
-        user: for messages.
+        user: the name of the calling function, for messages.
         parameters: whose gradient it computes.
     """
 

@@ -190,7 +190,7 @@ class Flat:
     """The numbers of several parameters as one vector in device memory.
 
     Attributes:
-        size: of the vector.
+        size: the number of elements of the vector.
         dtype: f64 if any parameter is of f64, else f32.
     """
 

@@ -30,7 +30,7 @@ def project(
         pull: pull(v, w) writes Aᵀ v to w.
         g: the gradient; changed.
         symmetric: A is symmetric.
-        caller: of the solver.
+        caller: the name of the solver, and the place of its call.
 
     Returns:
         The norm of that part by that of g; 0 if there is none, and g is as it was.

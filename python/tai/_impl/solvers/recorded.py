@@ -44,7 +44,7 @@ def run(
     """Runs a solver, and records the solve if a tape is recording.
 
     Args:
-        caller: of the solver.
+        caller: the name of the solver, and the place of its call.
         operator: the kernel; its unknown is solved for.
         solve: improves the field that it is given to a solution.
         solve_adjoint: solve_adjoint(g, λ) solves the adjoint system.

@@ -28,8 +28,8 @@ class Pool:
     """A field that keeps tangents of numbers, and which of its elements are in use.
 
     Attributes:
-        number: of the pool.
-        field: of f64, with a gradient and a dual.
+        number: the number of the pool.
+        field: a field of f64 with a gradient and a dual.
     """
 
     def __init__(self, number: int) -> None:

@@ -99,7 +99,7 @@ def check_written_view(kernel: str, name: str, value: Any, array: Any) -> None:
     Args:
         kernel, name: which parameter it is for.
         value: the argument.
-        array: its memory.
+        array: the memory of the argument, as an array.
 
     Raises:
         TaiRuntimeTypeError: a store to one element would change another one.
@@ -141,7 +141,7 @@ class HeldArray(NamedTuple):
         name: the parameter.
         kernel: the name of the kernel.
         value: the argument of the kernel.
-        array: its memory.
+        array: the memory of the argument, as an array.
         launched: the memory that the kernel gets: the array, or a contiguous copy of it.
         slot: where its address is among the slots of the launch.
         is_read, is_written: whether the kernel reads or writes it.
@@ -341,7 +341,7 @@ class TapeArrays:
         self._changing: list[HeldArray] = []
         # One GPU array for each library, which tells the stream on which its library works.
         self.streams: dict[Any, device_arrays.DeviceArray] = {}
-        # The tensors with their versions, and the tensors that have a gradient.
+        # The tensors with their numbers of changes, and the tensors that have a gradient.
         self._tensors: dict[int, list] = {}
         self._gradients: dict[int, tuple[Any, Any]] = {}
 

@@ -44,10 +44,10 @@ class Builder:
 
     Args:
         context: the program's context.
-        filename: of the kernel.
+        filename: the source file of the kernel.
 
     Attributes:
-        filename: the same.
+        filename: the source file of the kernel.
     """
 
     def __init__(self, context: Any, filename: str):
@@ -383,7 +383,7 @@ class Builder:
         """Makes the op of a kernel from a body that was built.
 
         Args:
-            symbol: its name in the module.
+            symbol: the name of the kernel in the module.
             arguments, result: types, as texts.
             gradients: the numbers of arguments by which it is differentiated besides fields; that
                 of the result, if it is, comes after the last argument.

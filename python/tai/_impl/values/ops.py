@@ -54,7 +54,7 @@ def _or_nan(
     of an exception.
 
     Args:
-        function: of Python.
+        function: a Python function of numbers.
         poles: the values where the function is infinite.
         odd: where it overflows, the result has the sign of the argument.
     """

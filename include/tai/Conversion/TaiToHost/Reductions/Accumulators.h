@@ -25,14 +25,15 @@ namespace mlir::tai {
 
 class Accumulators {
 public:
-  /// Collects the accumulations of `loop` that are privatised.
+  /// Collects the accumulations of `loop` that each partition does in private
+  /// memory or registers.
   static FailureOr<Accumulators> collect(ParallelForOp loop,
                                          ModuleLowering &lowering);
 
   bool empty() const { return registers.empty() && buffers.empty(); }
 
-  /// The number of partitions for which buffers are worth their cost, at most
-  /// `parts`.
+  /// Emits the number of partitions for which private buffers are worth their
+  /// cost, at most `parts`.
   Value limitParts(OpBuilder &builder, Location loc, Value parts, Value count,
                    double iterationsPerCount);
 
@@ -46,27 +47,32 @@ public:
   /// Replaces the updates by updates of private sums, after the loop's body has
   /// been moved into its function.
   void rewriteUpdates();
-  /// The maximum number of iterations in a block of the innermost loop, or 0 if
-  /// no sum needs blocks.
+  /// The maximum number of iterations in a block of the innermost loop, after
+  /// which sums are added to totals; or 0 if no sum needs blocks.
   int64_t getBlockLength() const;
-  /// Whether the limit getBlockLength() is strict: it then cuts rows as well.
+  /// True if the limit getBlockLength() is strict, so that it also cuts rows of
+  /// iterations (along the last dimension).
   bool storesTerms() const;
   /// Emits code after each block of iterations that `loop` runs: adds the sums
   /// of the block to the totals.
   void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
-  /// Emits code at the end of the loop's function.
+  /// Emits the end of the loop's function, which stores the partial sums of the
+  /// partition.
   void emitExit(OpBuilder &builder, Location loc);
 
   /// For a loop whose iterations are cut into chunks, so that its sums have the
-  /// order of all targets: emitted before and after the iterations of a chunk.
+  /// order of all targets: emit code before and after the iterations of a
+  /// chunk.
   void emitChunkStart(OpBuilder &builder, Location loc);
   void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk);
   /// Makes iteration i of `loop` add to lane i - `base` of the sums.
   void setLanes(scf::ForOp loop, Value base) { innermost = {loop, base}; }
 
-  /// Emitted in the kernel after the loop: adds the partial sums to the fields.
+  /// Emits code in the kernel after the loop that adds the partial sums to the
+  /// fields.
   void emitAfter(OpBuilder &builder, Location loc, Value frame, Value parts);
-  /// As emitAfter, for the partial sums of `chunks` chunks of iterations.
+  /// Emits the code after the loop, like emitAfter, for the partial sums of
+  /// `chunks` chunks of iterations.
   void emitAfterChunks(OpBuilder &builder, Location loc, Value chunks);
 
 private:
@@ -74,7 +80,7 @@ private:
   struct Register {
     Register(const FieldInfo *field, Total updates);
 
-    /// The field that the sum is added to; null for an array of the kernel.
+    /// The field to which the sum is added; null for an array of the kernel.
     const FieldInfo *field;
     Total updates;
     std::unique_ptr<TotalForm> form;

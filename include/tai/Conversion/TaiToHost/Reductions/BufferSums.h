@@ -31,8 +31,8 @@ public:
     return slice.numCells * group.field->numComponents;
   }
 
-  /// Emits code in the kernel before the loop. `single`: whether there is only
-  /// one partition.
+  /// Emits code in the kernel before the loop, which allocates the buffers.
+  /// `single`: true if there is only one partition.
   void emitBefore(OpBuilder &builder, Location loc, ModuleLowering &lowering,
                   Value frame, Value parts, Value single);
   /// Emit code in the loop's function: at its entry, and in place of the
@@ -48,7 +48,7 @@ private:
   BufferSums(AccumulationGroup group, FieldSlice slice)
       : group(std::move(group)), slice(std::move(slice)) {}
   int64_t getScalarBytes() const;
-  /// Whether every partition has a buffer, so that no partition updates the
+  /// True if every partition has a buffer, so that no partition updates the
   /// field itself.
   bool isApart() const { return digits != SumDigits::Own; }
   int64_t getCompactStride() const {
@@ -64,7 +64,7 @@ private:
   SumDigits digits = SumDigits::Own;
   // Valid in the kernel:
   Value target, memory, partStride, cellStride;
-  // A value of the loop's function:
+  // The address of the partition's buffer, a value of the loop's function:
   Value base;
 };
 

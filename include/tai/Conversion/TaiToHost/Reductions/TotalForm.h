@@ -28,43 +28,45 @@ struct TotalUpdates {
 
   size_t count;
   ReductionAttr reduction;
-  /// The operation that combines two partial sums.
+  /// The kind of operation that combines two partial sums.
   AtomicKind kind;
   Type termType;
 };
 
 class TotalForm {
 public:
-  /// Creates the form that the plan has chosen for a sum.
+  /// Creates the code generator for the form that the plan has chosen for a
+  /// sum.
   static std::unique_ptr<TotalForm> create(const TotalUpdates &sum);
 
   explicit TotalForm(const TotalUpdates &sum) : sum(sum) {}
   virtual ~TotalForm() = default;
 
-  /// The maximum number of iterations in a block, or 0. With `storesTerms`,
-  /// that limit is strict and cuts rows as well.
+  /// The maximum number of iterations in a block of the sum, or 0. With
+  /// `storesTerms`, that limit is strict and cuts rows of iterations as well.
   int64_t getBlockLength() const { return sum.reduction.getBlock(); }
   virtual bool storesTerms() const { return false; }
 
-  // Emits code in the kernel before the loop.
+  // Emits code of the sum in the kernel before the loop.
   virtual void emitBefore(OpBuilder &builder, Location loc) {}
 
-  // Emit code in the loop's function: at its entry, at an update, after a block
-  // of iterations of `loop`, and at its end.
+  // Emit code of the sum in the loop's function: at its entry, at an update,
+  // after a block of iterations of `loop`, and at its end.
   virtual void emitEntry(OpBuilder &builder, Location loc) = 0;
-  /// The innermost loop, and its iteration that belongs to the first lane.
+  /// The innermost loop around an update, and the iteration of it that belongs
+  /// to the first lane.
   struct Place {
     scf::ForOp loop;
     Value firstLane;
   };
-  /// Emits an update. `number`: its position among the updates of the element.
-  /// `update`: its kind, such as Add or Sub.
+  /// Emits an update of the sum. `number`: its position among the updates of
+  /// the element. `update`: its kind, such as Add or Sub.
   virtual void emitTerm(OpBuilder &builder, Location loc, size_t number,
                         AtomicKind update, Value term, Place place) = 0;
   virtual void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop) {
   }
-  /// Returns the partial sum of the partition; no values for a sum in chunks,
-  /// which leaves none.
+  /// Returns the partial sums of the partition, as values. A sum in chunks has
+  /// none, because its chunks store their sums in memory.
   virtual SmallVector<Value> emitPartial(OpBuilder &builder, Location loc) {
     return {};
   }
@@ -74,7 +76,7 @@ public:
   virtual void emitChunkStart(OpBuilder &builder, Location loc) {}
   virtual void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk) {}
 
-  // Emitted in the kernel after the loop.
+  // Emitted in the kernel after the loop: the partial sum of no terms.
   /// The partial sum of no terms.
   virtual SmallVector<Value> emitNone(OpBuilder &builder, Location loc) {
     return {};
@@ -84,25 +86,26 @@ public:
                                           ValueRange sums, ValueRange partial) {
     return {};
   }
-  /// Emits the sum over all chunks.
+  /// Emits the total of the sums over all chunks of iterations.
   virtual Value emitChunksTotal(OpBuilder &builder, Location loc,
                                 Value chunks) {
     return {};
   }
-  /// Adds the sum of all iterations to the element at `address`.
+  /// Emits the addition of the total over all iterations to the element at
+  /// `address`.
   virtual void emitUpdate(OpBuilder &builder, Location loc, ValueRange total,
                           Value address, AliasScopes scopes) = 0;
 
-  /// The number of slots of a partial sum.
+  /// The number of 8-byte slots that a partial sum takes.
   virtual unsigned getNumSlots() const { return 1; }
 
 protected:
   TotalUpdates sum;
 };
 
-/// Emits the number, extended to the float type `type` if that is wider.
+/// Emits the number, extended to the float type `type` if this type is wider.
 Value emitWidened(OpBuilder &builder, Location loc, Value value, Type type);
-/// A sum computed in a wider type, rounded to the type of the field.
+/// Emits a sum computed in a wider type, rounded to the type of the field.
 Value emitNarrowed(OpBuilder &builder, Location loc, Value sum, Type type);
 
 // The forms.

@@ -29,7 +29,7 @@ namespace mlir::tai {
 /// that uses the former names mentions the tai dialect only.
 void registerCheckDialect(DialectRegistry &registry);
 
-/// Replaces checks under former names in `root` by the present ops.
+/// Replaces check ops in `root` that use former op names by the present ops.
 void upgradeFormerChecks(Operation *root);
 
 } // namespace mlir::tai

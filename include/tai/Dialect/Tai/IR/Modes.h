@@ -47,11 +47,11 @@ struct Modes {
   std::optional<MathMode> math;
   std::optional<bool> ftz;
 
-  /// The modes of the kernel or function that `op` is or is in.
+  /// The numeric modes of the kernel or function that `op` is, or is in.
   static Modes of(Operation *op);
 
-  /// These modes with deterministic sums, for a kernel in a deterministic
-  /// context.
+  /// Returns these modes with deterministic sums, for a kernel in a
+  /// deterministic context.
   Modes inDeterministicContext() const;
 
   bool isDeterministic() const {
@@ -60,7 +60,7 @@ struct Modes {
   bool isCompensated() const {
     return sums == SumsMode::Compensated || sums == SumsMode::Both;
   }
-  /// Whether sums have the order that all targets share: see
+  /// True if sums are added in the order that all targets share: see
   /// docs/decisions/0039-bits.md.
   bool hasOneOrder() const {
     return math == MathMode::Strict && !isCompensated() && isDeterministic();
@@ -68,7 +68,7 @@ struct Modes {
   bool isAccurate() const { return math == MathMode::Accurate; }
   bool flushes() const { return ftz.value_or(false); }
 
-  /// Sets the modes on a kernel or on a function of the LLVM dialect.
+  /// Sets the numeric modes on a kernel or on a function of the LLVM dialect.
   void setOn(Operation *function) const;
 
   friend bool operator==(const Modes &lhs, const Modes &rhs) {
@@ -77,11 +77,12 @@ struct Modes {
   }
 };
 
-/// Emits an error and fails if the mode dictionary has an unknown entry.
+/// Emits an error and fails if the dictionary of numeric modes has an unknown
+/// entry.
 LogicalResult verifyModes(Operation *kernel, DictionaryAttr modes);
 
-/// Verifies the modes in the `passthrough` attribute of `function`, if it is a
-/// function of the LLVM dialect. Passes that read these modes call
+/// Verifies the numeric modes in the `passthrough` attribute of `function`, if
+/// it is a function of the LLVM dialect. Passes that read these modes call
 /// verifyPassedModes, because no verifier checks `passthrough`.
 LogicalResult verifyPassedModes(Operation *function);
 

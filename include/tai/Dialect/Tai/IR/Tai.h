@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Types, attributes, ops and interfaces of the dialect.
+// Types, attributes, ops and interfaces of the dialect tai.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,50 +30,54 @@
 #include "tai/Interfaces/FieldAccess.h"
 
 namespace mlir::tai {
-/// Size in bytes of a cell that holds `children`, padded to its alignment.
+/// The size in bytes of a cell that holds `children`, padded to its alignment.
 uint64_t computeCellSize(ArrayRef<Type> children, const DataLayout &layout);
-/// Alignment in bytes of a cell that holds `children`.
+/// The alignment in bytes of a cell that holds `children`.
 uint64_t computeCellAlignment(ArrayRef<Type> children,
                               const DataLayout &layout);
-/// Strides of contiguous cells of the given size.
+/// The strides, in bytes, of contiguous cells of the given size in a row-major
+/// array.
 SmallVector<uint64_t> computeRowMajorStrides(ArrayRef<int64_t> shape,
                                              uint64_t cellSize);
 
-/// How a level records which of its cells are active.
+/// The ways in which a level of a layout records which of its cells are active.
 enum class CellActivity {
   All,    ///< every cell is always active
   Bits,   ///< a bit for each cell
   Length, ///< cells form lists; cells below the length of a list are active
 };
 
-/// A cell of a sparse level, in IR that is being built.
+/// Refers to a cell of a sparse level, in IR that is being built.
 struct CellRef {
-  /// The address of the tree, and the number of the level among the sparse
-  /// levels of the tree.
+  /// The address of the tree of the cell, and the number of the cell's level
+  /// among the sparse levels of the tree.
   Value tree;
   unsigned node;
   /// The offset of the level's activity bits or list lengths, in bytes from the
   /// tree.
   uint64_t activityOffset;
-  /// The number of cells of the level in one parent cell; for a list, the
-  /// capacity.
+  /// The number of cells of this level in one parent cell; for a `dynamic`
+  /// level, the capacity of a list.
   int64_t capacity;
-  /// The number of the cell among all cells of its level, a value of type
-  /// index.
+  /// The number of the cell among all cells of its level in the tree, a value
+  /// of type index.
   Value cell;
 };
 
-/// The address of an array of the numbers of active cells, and its length.
+/// The address of an array with the numbers of the active cells of a level, and
+/// the length of the array.
 struct CellList {
   Value cells, count;
 };
 
-// Default implementations of SNodeTypeInterface.
+// Default implementations of SNodeTypeInterface, for level types that record
+// activity in one of the ways of CellActivity.
 Value emitIsActive(OpBuilder &builder, Location loc, CellActivity activity,
                    const CellRef &cell);
 Value emitActivate(OpBuilder &builder, Location loc, const CellRef &cell);
 void emitDeactivate(OpBuilder &builder, Location loc, const CellRef &cell);
-/// The length of list number `list`, a value of type index; ignores `at.cell`.
+/// Emits the length of list number `list`, a value of type index, of the
+/// `dynamic` level of `at`. The cell of `at` is ignored.
 Value emitListLength(OpBuilder &builder, Location loc, const CellRef &at,
                      Value list);
 CellList emitActiveCells(OpBuilder &builder, Location loc, Value tree,

@@ -10,8 +10,9 @@
 
 include "tai/Dialect/Tai/IR/TaiOpBase.td"
 
-/// An access to one element of a field, or to one component of it. Effects
-/// are on the field's symbol, so that accesses to distinct fields commute.
+/// Base class of accesses to one element of a field, or to one component of the
+/// element. Memory effects are on the field's symbol, so that accesses to
+/// distinct fields commute.
 class Tai_AccessOp<string mnemonic, string access, string value = "",
                    list<Trait> traits = []>
     : Tai_Op<mnemonic, !listconcat(traits, [
@@ -157,8 +158,8 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", "Combine", "Value", [
 // Sparse topology
 //===----------------------------------------------------------------------===//
 
-/// An op on the cell `level` levels above the place of a field; level 1 is the
-/// innermost SNode.
+/// Base class of ops on the cell that lies `level` levels above the place of a
+/// field; level 1 is the innermost SNode.
 class Tai_TopologyOp<string mnemonic, string access, string value = "">
     : Tai_AccessOp<mnemonic, access, value>;
 

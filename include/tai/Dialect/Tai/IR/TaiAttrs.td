@@ -52,7 +52,7 @@ def Tai_ReductionOrder
   let genSpecializedAttr = 0;
 }
 
-/// How a parallel loop does an update.
+/// Describes how a parallel loop performs an update of shared memory.
 def Tai_ReductionAttr : AttrDef<Tai_Dialect, "Reduction"> {
   let mnemonic = "reduction";
   let summary = "how a parallel loop does an update";
@@ -112,7 +112,7 @@ def Tai_CheckpointKind
   let genSpecializedAttr = 0;
 }
 
-/// How a tape trades recomputation for saved values.
+/// Describes how a tape trades recomputation for saved values.
 def Tai_CheckpointAttr : AttrDef<Tai_Dialect, "Checkpoint"> {
   let mnemonic = "checkpoint";
   let summary = "how a tape trades recomputation for saved values";
@@ -145,7 +145,7 @@ def Tai_FieldUse : I32EnumAttr<"FieldUse", "how a kernel uses a field", [
   let genSpecializedAttr = 0;
 }
 
-/// How a kernel touches one field.
+/// Describes how a kernel accesses one field.
 def Tai_AccessAttr : AttrDef<Tai_Dialect, "Access"> {
   let mnemonic = "access";
   let summary = "one access of a kernel to a field";

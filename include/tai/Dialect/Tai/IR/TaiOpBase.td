@@ -65,7 +65,7 @@ def HostOpGroup : OpDocGroup {
 class Tai_Op<string mnemonic, list<Trait> traits = []>
     : Op<Tai_Dialect, mnemonic, traits>;
 
-/// A value that a field or a local can hold.
+/// A type whose values a field or a local variable can hold.
 def Tai_Value : AnyTypeOf<[AnySignlessInteger, AnyFloat,
     VectorOfAnyRankOf<[AnySignlessInteger, AnyFloat]>]>;
 def Tai_FloatOrVector : AnyTypeOf<[AnyFloat, VectorOfAnyRankOf<[AnyFloat]>]>;

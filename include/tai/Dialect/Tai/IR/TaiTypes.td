@@ -21,7 +21,8 @@ class Tai_Type<string typeName, string mnemonic_, list<Trait> traits = []>
 // Layout types
 //===----------------------------------------------------------------------===//
 
-/// A level of the tree with axes, one extent per axis, and children.
+/// Base class of the types of layout levels that have axes, one extent per
+/// axis, and children.
 class Tai_LevelType<string typeName, string mnemonic_>
     : Tai_Type<typeName, mnemonic_, [
         DeclareTypeInterfaceMethods<Tai_SNodeTypeInterface, []>]> {

@@ -25,7 +25,7 @@ namespace mlir::tai {
 inline constexpr unsigned kMostNested = 512;
 
 struct TextProblem {
-  /// The byte at which the text is refused.
+  /// The position of the byte at which the text is refused.
   size_t at;
   std::string message;
   /// From 1.
@@ -34,8 +34,8 @@ struct TextProblem {
 
 /// Finds text of a module, an attribute or a type that would crash MLIR's
 /// parser or keep it busy without end. Skips strings and comments. Brackets of
-/// all kinds count, including the brackets in aliases that the text uses.
-/// MLIR's bytecode holds affine maps as text: only the maps are checked.
+/// all kinds count, including brackets in aliases that the text uses. In MLIR's
+/// bytecode, which holds affine maps as text, only the maps are checked.
 std::optional<TextProblem> findTextProblem(StringRef text);
 /// Emits an error and fails if a type in `module` has too many dimensions.
 LogicalResult checkDimensions(Operation *module);

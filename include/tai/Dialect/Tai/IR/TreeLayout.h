@@ -22,20 +22,22 @@
 
 namespace mlir::tai {
 
-/// Used by one thread at a time.
+/// The layout of one tree with cached offsets; used by one thread at a time.
 class TreeLayout {
 public:
-  /// The data layout outlives this object.
+  /// Refers to `dataLayout`, which must outlive this object.
   TreeLayout(RootType root, const DataLayout &dataLayout)
       : root(root), dataLayout(dataLayout) {}
 
-  /// See the functions of the same names in Layout.h.
+  /// These three functions return the same as the functions of the same names
+  /// in Layout.h, from sums that are computed once.
   ArrayRef<SparseNode> getSparseNodes();
   TreeSize getTreeSize();
   FieldStorage getFieldStorage(const FieldLayout &layout);
 
 private:
-  /// Offset of child `index` in the root; getOffset: in a cell with `children`.
+  /// getRootOffset is the offset of child number `index` in the root of the
+  /// tree; getOffset is its offset in a cell with `children`.
   uint64_t getRootOffset(unsigned index);
   uint64_t getOffset(ArrayRef<Type> children, unsigned index);
   uint64_t getOffsetOfPlace(PlacesType places, unsigned index);
@@ -46,18 +48,20 @@ private:
 
   RootType root;
   const DataLayout &dataLayout;
-  /// The key is the address of the children array, which a type owns for good.
+  /// Offsets of the children of a cell. The key is the address of the array of
+  /// child types, which the cell's type owns until the end of the context.
   llvm::DenseMap<const Type *, SmallVector<uint64_t>> offsets;
   llvm::DenseMap<PlacesType, SmallVector<uint64_t>> placeOffsets;
   llvm::DenseMap<Type, SmallVector<uint64_t>> cellStrides;
   SmallVector<uint64_t> rootOffsets;
   std::optional<SmallVector<SparseNode>> nodes;
-  /// The number of a sparse level, by its SparseNode::position.
+  /// Numbers of the sparse levels of the tree, by SparseNode::position.
   llvm::DenseMap<ArrayRef<unsigned>, unsigned> numberOfNode;
 };
 
-/// Finds the places of a tree by name. The index of a tree lives as long as the
-/// context, like the tree's type. Safe to call from several threads.
+/// Finds a place (the position of a field's values in a layout tree) by its
+/// name. For each tree type, the table of names is built on first use and kept
+/// until the MLIR context ends, because types live as long. Thread-safe.
 class PlaceIndex : public DialectInterface::Base<PlaceIndex> {
 public:
   MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(PlaceIndex)
@@ -66,9 +70,9 @@ public:
   std::optional<PlacePath> find(RootType root, StringRef name) const;
 
 private:
-  /// The path to a place: for each level its child number in the level above,
-  /// then the child number of the record, then the number of the place in the
-  /// record.
+  /// The path from the root of a tree to a place: for each level its child
+  /// number in the level above, then the child number of the record, then the
+  /// number of the place in the record.
   using Position = SmallVector<unsigned, 4>;
   using Places = llvm::StringMap<Position>;
   const Places &placesOf(RootType root) const;

@@ -55,8 +55,9 @@ def TaiRT_TreeBaseOp : TaiRT_Op<"tree_base", [
   let assemblyFormat = "$tree attr-dict `:` type($base)";
 }
 
-// Cells of a sparse level are numbered row-major, level by level. `node` is the
-// number of the level in its tree, parents before children.
+// The class of ops on cells of a sparse level. Cells are numbered row-major,
+// level by level. `node` is the number of the level in its tree, parents before
+// children.
 
 def TaiRT_ActiveCellsOp : TaiRT_Op<"active_cells", [
     AllTypesMatch<["base", "cells"]>]> {
