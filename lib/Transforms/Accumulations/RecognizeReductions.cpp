@@ -205,10 +205,7 @@ LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
       return isOwn && (kind == AtomicKind::Add || kind == AtomicKind::Mul ||
                        kind == AtomicKind::Xor);
     }
-    // A store of one value by all iterations, such as a flag, does not count as
-    // a write.
     return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
-           (isOwn || !storesTheSame(access, loop)) &&
            llvm::none_of(
                llvm::concat<std::unique_ptr<SharedUpdate>>(updates, owned),
                [&](auto &update) { return update->getStore() == access; });
@@ -224,8 +221,21 @@ LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
       writes.push_back(access);
   }
   OtherIterations others(loop);
+  // Iterations that store one value to a shared element set a flag, and may
+  // read it to save work.
+  llvm::DenseMap<Operation *, bool> readsFlag;
+  auto isFlag = [&](auto write, auto read) {
+    if (!isa<StoreOp, memref::StoreOp>(write.getOperation()) ||
+        getSharing(write, loop) == Sharing::Own || !storesTheSame(write, loop))
+      return false;
+    auto [found, isNew] = readsFlag.insert({read, false});
+    if (isNew)
+      found->second = decidesOnlyFlags(read, loop);
+    return found->second;
+  };
   others.find(writes, reads, [&](auto write, auto read) {
-    return llvm::is_contained(known, write) && same.reachSame(write, read);
+    return (llvm::is_contained(known, write) && same.reachSame(write, read)) ||
+           isFlag(write, read);
   });
   return others;
 }

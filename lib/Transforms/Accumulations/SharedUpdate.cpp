@@ -68,6 +68,53 @@ bool mlir::tai::storesTheSame(DifferentiableAccessInterface store,
          !loop->isAncestor(value.getParentBlock()->getParentOp());
 }
 
+bool mlir::tai::decidesOnlyFlags(DifferentiableAccessInterface read,
+                                 ParallelForOp loop) {
+  SmallVector<Operation *> todo(read->user_begin(), read->user_end());
+  llvm::SmallPtrSet<Operation *, 16> seen;
+  auto add = [&](auto values) {
+    for (Value value : values)
+      todo.append(value.user_begin(), value.user_end());
+  };
+  while (!todo.empty()) {
+    Operation *op = todo.pop_back_val();
+    if (!seen.insert(op).second)
+      continue;
+    // A value that leaves a region is a result of the op around it.
+    if (op->hasTrait<OpTrait::IsTerminator>())
+      op = op->getParentOp();
+    if (op == loop)
+      continue;
+    if (op->getNumRegions() == 0) {
+      bool isRead = false;
+      if (auto access = dyn_cast<DifferentiableAccessInterface>(op))
+        isRead = access.getAccessKind() == AccessKind::Read;
+      if (!isRead && !isMemoryEffectFree(op))
+        return false;
+      add(op->getResults());
+      continue;
+    }
+    WalkResult result = op->walk([&](Operation *inner) {
+      for (Region &region : inner->getRegions())
+        for (Block &block : region)
+          add(block.getArguments());
+      if (inner->getNumRegions() != 0 || isMemoryEffectFree(inner))
+        return WalkResult::advance();
+      auto access = dyn_cast<DifferentiableAccessInterface>(inner);
+      bool isBenign =
+          access && (access.getAccessKind() == AccessKind::Read ||
+                     (isa<StoreOp, memref::StoreOp>(inner) &&
+                      getSharing(access, loop) != Sharing::Own &&
+                      storesTheSame(access, loop)));
+      return isBenign ? WalkResult::advance() : WalkResult::interrupt();
+    });
+    if (result.wasInterrupted())
+      return false;
+    add(op->getResults());
+  }
+  return true;
+}
+
 //===----------------------------------------------------------------------===//
 // Matching
 //===----------------------------------------------------------------------===//

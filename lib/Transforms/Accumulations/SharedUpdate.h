@@ -22,6 +22,11 @@ namespace mlir::tai {
 /// True if all iterations that execute `store` store the same value.
 bool storesTheSame(DifferentiableAccessInterface store, ParallelForOp loop);
 
+/// True if the value that `read` loads only decides whether stores run that
+/// store the same value in all iterations. Such a read, of a flag that other
+/// iterations set, may save work, but does not change a result.
+bool decidesOnlyFlags(DifferentiableAccessInterface read, ParallelForOp loop);
+
 /// Returns the kind of atomic that performs the operation of `op`; nullopt if
 /// there is none.
 std::optional<AtomicKind> getAtomicKind(Operation *op);

@@ -140,3 +140,58 @@ tai.kernel @apart(%t: index) attributes {tai.check_updates} {
   }
   tai.return
 }
+
+tai.tree @flags : !tai.root<{found: i32, total: i32}>
+tai.field @found = @flags["found"] : i32, rank 0
+tai.field @total = @flags["total"] : i32, rank 0
+
+// A flag that iterations set, and that others read to save work.
+// CHECKS-LABEL: tai.kernel @flag
+// CHECKS-NOT: tai.precondition
+// CHECKS: tai.parallel_for
+tai.kernel @flag(%n: index) {
+  %c0 = arith.constant 0 : index
+  %zero = arith.constant 0 : i32
+  %one = arith.constant 1 : i32
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @found[] : i32
+    %1 = arith.cmpi eq, %0, %zero : i32
+    scf.if %1 {
+      tai.store %one, @found[] : i32
+    }
+  }
+  tai.return
+}
+
+// The value of the flag is added to a sum.
+// CHECKS-LABEL: tai.kernel @flag_as_data
+// CHECKS: tai.precondition %{{.*}}, "an element of field '@found' is read here
+// ONE-LABEL: tai.kernel @flag_as_data
+tai.kernel @flag_as_data(%n: index) {
+  %c0 = arith.constant 0 : index
+  %zero = arith.constant 0 : i32
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @found[] : i32
+    %1 = tai.atomic add %0, @total[] : i32
+    tai.store %zero, @found[] : i32
+  }
+  tai.return
+}
+
+// The flag decides on an element of the iteration.
+// CHECKS-LABEL: tai.kernel @flag_of_stores
+// CHECKS: tai.precondition %{{.*}}, "an element of field '@found' is read here
+tai.kernel @flag_of_stores(%n: index) {
+  %c0 = arith.constant 0 : index
+  %zero = arith.constant 0 : i32
+  %one = arith.constant 1 : i32
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @found[] : i32
+    %1 = arith.cmpi eq, %0, %zero : i32
+    scf.if %1 {
+      tai.store %one, @b[%i] : i32
+    }
+    tai.store %one, @found[] : i32
+  }
+  tai.return
+}

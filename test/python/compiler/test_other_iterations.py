@@ -643,3 +643,62 @@ def test_layouts(layout):
     with pytest.raises(ti.TaiError, match="which of them comes first"):
         shift()
         ti.sync()
+
+
+def test_flags_that_only_save_work():
+    """A flag that iterations set may decide whether others set it again."""
+    x, found = ti.field(ti.i32, 1000), ti.field(ti.i32, ())
+    x.from_numpy(np.arange(1000, dtype=np.int32))
+
+    @ti.kernel
+    def search(least: ti.i32):
+        for i in x:
+            if found[None] == 0:
+                if x[i] > least:
+                    found[None] = 1
+
+    search(2000)
+    assert found[None] == 0
+    search(900)
+    assert found[None] == 1
+
+
+def test_a_flag_whose_value_is_added():
+    """Once, 100 iterations added the old value 31 times."""
+    total, rest = (ti.field(ti.i32, (), name=k) for k in ("total", "rest"))
+
+    @ti.kernel
+    def drain(n: ti.i32):
+        for i in range(n):
+            if i > 0:
+                total[None] += rest[None]
+                rest[None] = 0
+
+    @ti.kernel
+    def drain_in_order(n: ti.i32):
+        ti.loop_config(serialize=True)
+        for i in range(n):
+            if i > 0:
+                total[None] += rest[None]
+                rest[None] = 0
+
+    rest[None] = 3
+    with pytest.raises(ti.TaiAssertionError, match="'rest' is read here by one iteration"):
+        drain(100)
+    drain_in_order(100)
+    assert (total[None], rest[None]) == (3, 0)
+
+
+def test_a_variable_that_methods_empty():
+    @ti.kernel
+    def pour(n: ti.i32) -> ti.i32:
+        total, rest = 0, 3
+        for i in range(n):
+            if i > 0:
+                total += rest
+                rest = 0
+        return total
+
+    assert pour(2) == 3
+    with pytest.raises(ti.TaiAssertionError, match="variable 'rest', which all iterations share"):
+        pour(3)

@@ -441,6 +441,7 @@ def test_methods_change_what_they_are_given_by_reference():
                 a.take(y[i])
         if q > 0:
             a.pour(b, q)
+        ti.loop_config(serialize=True)
         for i in range(3):
             b.take_own(i - q)
         return [a.t, b.t, x, y[0] * 10 + y[1], b.v[0]]
