@@ -21,8 +21,10 @@ namespace mlir::tai {
 
 /// Base of passes with the option `kernel`, which define `LogicalResult
 /// runOnFunction(FunctionOpInterface)` and optionally `begin`, called before
-/// the first function, and `end`. These are module passes, because the
-/// selection depends on other functions of the module.
+/// the first function, and `end`. On a module it runs on the functions that are
+/// to be differentiated, which depends on the other functions there. A pass
+/// that is not declared for modules alone also runs on a single function, and
+/// then reads nothing else but trees and fields.
 template <typename Pass, template <typename> class GeneratedBase>
 struct SelectedFunctionsPass : GeneratedBase<Pass> {
   using Generated = GeneratedBase<Pass>;
@@ -35,8 +37,7 @@ struct SelectedFunctionsPass : GeneratedBase<Pass> {
 
   void runOnOperation() override {
     auto *self = static_cast<Pass *>(this);
-    FailureOr<SmallVector<FunctionOpInterface>> functions =
-        selectFunctions(this->getOperation(), this->kernels);
+    FailureOr<SmallVector<FunctionOpInterface>> functions = select();
     if (failed(functions) || failed(self->begin()))
       return this->signalPassFailure();
     bool isGood = true;
@@ -47,6 +48,19 @@ struct SelectedFunctionsPass : GeneratedBase<Pass> {
     self->end();
     if (!isGood)
       this->signalPassFailure();
+  }
+
+  FailureOr<SmallVector<FunctionOpInterface>> select() {
+    Operation *root = this->getOperation();
+    if (auto module = dyn_cast<ModuleOp>(root))
+      return selectFunctions(module, this->kernels);
+    auto function = dyn_cast<FunctionOpInterface>(root);
+    if (!function)
+      return root->emitOpError("is neither a module nor a function");
+    bool isWanted = !function.isExternal() &&
+                    (this->kernels.empty() ||
+                     llvm::is_contained(this->kernels, function.getName()));
+    return SmallVector<FunctionOpInterface>(isWanted ? 1 : 0, function);
   }
 
   LogicalResult begin() { return success(); }

@@ -46,11 +46,11 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
       createCheckAccessRules(getKernelsOf<CheckAccessRulesOptions>(options)));
   pm.addPass(
       createPromoteElements(getKernelsOf<PromoteElementsOptions>(options)));
-  addPerFunction(pm, [](OpPassManager &function) {
+  addPerFunction(pm, [&](OpPassManager &function) {
     function.addPass(createEliminateLocals());
+    if (options.flatten)
+      function.addPass(createFlattenBranches());
   });
-  if (options.flatten)
-    pm.addPass(createFlattenBranches());
 
   pm.addPass(createSplitKernel(getKernelsOf<SplitKernelOptions>(options)));
   pm.addPass(createChooseWriters(getKernelsOf<ChooseWritersOptions>(options)));

@@ -51,18 +51,21 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
   pm.addPass(createRecognizeReductions(reductions));
 
   // Angles are folded before any other pass that folds constants.
-  pm.addPass(createFoldAngles());
+  addPerFunction(pm, [](OpPassManager &function) {
+    function.addPass(createFoldAngles());
+  });
 
   // Indices are checked in the program as written, so that a report names the
   // index that the program computed. From here on, kernels with run-time checks
   // are not changed.
+  OpPassManager &kernels = pm.nest<KernelOp>();
   CheckBoundsOptions bounds;
   if (!checked && options.bounds == BoundsMode::Clamp) {
     bounds.bounds = BoundsMode::Clamp;
-    pm.addPass(createCheckBounds(bounds));
+    kernels.addPass(createCheckBounds(bounds));
   }
   bounds.bounds = checked ? BoundsMode::Check : BoundsMode::Off;
-  pm.addPass(createCheckBounds(bounds));
+  kernels.addPass(createCheckBounds(bounds));
 }
 
 void tai::addCanonicalization(OpPassManager &pm) {

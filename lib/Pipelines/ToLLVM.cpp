@@ -77,6 +77,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     function.addPass(createRelaxAtomics());
   });
 
+  // On the module, not on each function: loops of different functions, of which
+  // one may be inlined into another, must not share an access group.
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;
   pm.addPass(createLowerLayout(layout));

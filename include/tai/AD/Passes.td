@@ -221,7 +221,7 @@ def PrepareForeign : Pass<"tai-prepare-foreign", "::mlir::ModuleOp"> {
   ];
 }
 
-def PromoteElements : Pass<"tai-promote-elements", "::mlir::ModuleOp"> {
+def PromoteElements : Pass<"tai-promote-elements"> {
   let summary = "keep elements that are stored and read again in variables";
   let description = [{
     Where an iteration, or serial code, reads an element that it has stored and
@@ -463,7 +463,7 @@ def ForwardDiff : Pass<"tai-forward-diff", "::mlir::ModuleOp"> {
   ];
 }
 
-def ExpandAtomics : Pass<"tai-expand-atomics", "::mlir::ModuleOp"> {
+def ExpandAtomics : Pass<"tai-expand-atomics"> {
   let summary = "expand exclusive atomics to load and store";
   let description = [{
     Replaces a `tai.atomic` by a load, the operation and a store if no other
@@ -502,7 +502,7 @@ def ExpandAtomics : Pass<"tai-expand-atomics", "::mlir::ModuleOp"> {
   ];
 }
 
-def CheckAccessRules : Pass<"tai-check-access-rules", "::mlir::ModuleOp"> {
+def CheckAccessRules : Pass<"tai-check-access-rules"> {
   let summary = "reject kernels with races between parallel iterations";
   let description = [{
     The paper (section 3) asks of a kernel that an element which is written more
