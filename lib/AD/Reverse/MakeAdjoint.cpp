@@ -18,6 +18,7 @@
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Matchers.h"
 #include "tai/AD/Conventions.h"
 #include "tai/AD/Foreign/Foreign.h"
 #include "tai/AD/Foreign/Traces.h"
@@ -288,6 +289,52 @@ static void passRecords(Traces &traces, FunctionOpInterface shell) {
     record = body.addArgument(record.getType(), record.getLoc());
 }
 
+/// Refuses a derivative whose traces take more bytes than the function allows.
+/// The size of a trace is a constant if all trip counts are.
+static LogicalResult checkTraceBytes(FunctionOpInterface function,
+                                     FunctionOpInterface target,
+                                     ArrayRef<Operation *> reads) {
+  auto limit =
+      getOriginal(function)->getAttrOfType<IntegerAttr>("tai.trace_bytes");
+  if (!limit)
+    return success();
+  uint64_t bytes = 0;
+  bool isKnown = true;
+  target.walk([&](memref::AllocOp array) {
+    MemRefType type = array.getType();
+    uint64_t size = type.getElementType().isIndex()
+                        ? 8
+                        : (type.getElementTypeBitWidth() + 7) / 8;
+    for (int64_t extent : type.getShape())
+      if (!ShapedType::isDynamic(extent))
+        size *= extent;
+    for (Value extent : array.getDynamicSizes()) {
+      APInt constant;
+      if (matchPattern(extent, m_ConstantInt(&constant)))
+        size *= constant.getZExtValue();
+      else
+        isKnown = false;
+    }
+    bytes += size;
+  });
+  if (isKnown && bytes <= limit.getValue().getZExtValue())
+    return success();
+  InFlightDiagnostic diag = function.emitError("cannot differentiate '@")
+                            << getOriginal(function).getName()
+                            << "' within 'tai.trace_bytes' of "
+                            << limit.getValue().getZExtValue() << ": ";
+  if (isKnown)
+    diag << "the copies and records of the derivative take " << bytes
+         << " bytes";
+  else
+    diag << "the size of a record depends on the arguments";
+  for (Operation *read : reads)
+    diag.attachNote(read->getLoc())
+        << "the value read here is recorded, because it is overwritten; a "
+           "store to another array keeps it";
+  return diag;
+}
+
 /// Fills the adjoint of a function of arrays. Values that the function
 /// overwrites or frees are recorded by a second execution in the adjoint, or by
 /// the function `augmented` unless that is null.
@@ -327,6 +374,8 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
     SmallVector<int64_t> before;
     if (augmented) {
       Traces traces = recordReads(copy, augmented, reads, TraceMode::Augmented);
+      if (failed(checkTraceBytes(function, augmented, reads)))
+        return failure();
       passRecords(traces, shell);
       local.recorded = std::move(traces.recorded);
       local.records = std::move(traces.arrays);
@@ -334,6 +383,8 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
       if (failed(checkRunsAgain(copy)))
         return failure();
       Traces traces = recordReads(copy, shell, reads);
+      if (failed(checkTraceBytes(function, shell, reads)))
+        return failure();
       local.recorded = std::move(traces.recorded);
       local.records = std::move(traces.arrays);
       before = std::move(traces.before);

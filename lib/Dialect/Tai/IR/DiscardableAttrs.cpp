@@ -44,6 +44,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.reexecutes", Kind::Unit, true},
     {"tai.split", Kind::Any, true},
     {"tai.tangent", Kind::Symbol, true},
+    {"tai.trace_bytes", Kind::Integer, true},
     {"tai.saved", Kind::Any},
     // Attributes that only make a program faster.
     {"tai.access_group", Kind::Any},
