@@ -3,7 +3,7 @@
 They use scf, affine, arith, math, memref, linalg and vector. Every seed gives one `func.func` over
 two arrays, smooth where it is evaluated. A batch of them is one module, which both pipelines must
 take without a crash; with `--compare`, gradients of stock lowering are compared with central
-differences.
+differences, and values and gradients of code without optimisation with those of `-O3`.
 
     python test/fuzz/foreign.py --seeds 0:2000
     python test/fuzz/foreign.py --seeds 0:40 --compare
@@ -90,7 +90,10 @@ class Function:
         self.emit("}")
 
     def statement(self, depth: int) -> None:
-        kind = self.random.choice(["store", "branch", "carry", "local", "linalg", "vector"])
+        kind = self.random.choice(
+            ["store", "branch", "carry", "local", "linalg", "vector"]
+            + ["while", "switch", "view", "transfer", "parallel", "unsigned"]
+        )
         target = self.random.choice(self.arrays)
         known = list(self.arrays)
         if kind == "store":
@@ -128,6 +131,51 @@ class Function:
             self.loop(lambda i: self.store(self.expression(i, 1), target, i))
             self.arrays = known
             self.emit(f"memref.dealloc {array} : {ARRAY}")
+        elif kind == "while":
+            self.while_loop(target)
+        elif kind == "switch":
+            self.switch(target)
+        elif kind == "view":
+            offset = self.random.randrange(SIZE - 2)
+            view = f"memref<3xf64, strided<[1], offset: {offset}>>"
+            part = self.new(f"memref.subview {target}[{offset}] [3] [1] : {ARRAY} to {view}")
+            first = self.new(f"memref.load {part}[%c0] : {view}")
+            second = self.new(f"math.sin {self.load('%c2')} : f64")
+            product = self.new(f"arith.mulf {first}, {second} : f64")
+            self.emit(f"memref.store {product}, {part}[%c1] : {view}")
+        elif kind == "transfer":
+            index = self.random.randrange(SIZE - 1)
+            pad = self.new("arith.constant 0.5 : f64")
+            part = self.new(
+                f"vector.transfer_read {target}[%c{index}], {pad} : {ARRAY}, vector<4xf64>"
+            )
+            bound = self.new(f"math.tanh {part} : vector<4xf64>")
+            mixed = self.new(f"vector.interleave {bound}, {bound} : vector<4xf64> -> vector<8xf64>")
+            even = self.new(
+                f"vector.extract_strided_slice {mixed} {{offsets = [1], sizes = [4], strides = [1]}}"
+                " : vector<8xf64> to vector<4xf64>"
+            )
+            self.emit(f"vector.transfer_write {even}, {target}[%c{index}] : vector<4xf64>, {ARRAY}")
+        elif kind == "parallel":
+            source = self.random.choice([a for a in self.arrays if a != target])
+            self.count += 1
+            index = f"%i{self.count}"
+            self.emit(f"scf.parallel ({index}) = (%c0) to (%c{SIZE}) step (%c1) {{")
+            old = self.new(f"memref.load {target}[{index}] : {ARRAY}")
+            other = self.new(f"memref.load {source}[{index}] : {ARRAY}")
+            bound = self.new(f"math.tanh {other} : f64")
+            self.store(self.new(f"arith.mulf {old}, {bound} : f64"), target, index)
+            self.emit("scf.reduce")
+            self.emit("}")
+        elif kind == "unsigned":
+            self.count += 1
+            index = f"%i{self.count}"
+            low, high = (self.new(f"arith.constant {v} : i32") for v in (1, SIZE))
+            step = self.new(f"arith.constant {self.random.randint(1, 3)} : i32")
+            self.emit(f"scf.for unsigned {index} = {low} to {high} step {step} : i32 {{")
+            place = self.new(f"arith.index_cast {index} : i32 to index")
+            self.store(self.expression(place, 2), target, place)
+            self.emit("}")
         elif kind == "linalg":
             source = self.random.choice([a for a in self.arrays if a != target])
             self.emit(
@@ -150,6 +198,39 @@ class Function:
             total = self.new(f"vector.reduction <add>, {b} : vector<4xf64> into f64")
             self.store(total, target, f"%c{self.random.randrange(SIZE)}")
 
+    def while_loop(self, target: str) -> None:
+        self.count += 1
+        n = self.count
+        first = self.load("%c1")
+        limit = self.random.randint(1, SIZE)
+        self.emit(
+            f"%r{n}:2 = scf.while (%s{n} = %c0, %q{n} = {first}) : (index, f64) -> (index, f64) {{"
+        )
+        test = self.new(f"arith.cmpi slt, %s{n}, %c{limit} : index")
+        self.emit(f"scf.condition({test}) %s{n}, %q{n} : index, f64")
+        self.emit("} do {")
+        self.emit(f"^bb0(%t{n}: index, %u{n}: f64):")
+        bound = self.new(f"math.sin %u{n} : f64")
+        total = self.new(f"arith.addf {bound}, {self.expression(f'%t{n}', 1)} : f64")
+        self.store(total, target, f"%t{n}")
+        more = self.new(f"arith.addi %t{n}, %c1 : index")
+        self.emit(f"scf.yield {more}, {total} : index, f64")
+        self.emit("}")
+        self.store(f"%r{n}#1", target, "%c3")
+
+    def switch(self, target: str) -> None:
+        def body(index):
+            self.count += 1
+            name = f"%r{self.count}"
+            self.emit(f"{name} = scf.index_switch {index} -> f64")
+            for case in "case 1", "case 4", "default":
+                self.emit(f"{case} {{")
+                self.emit(f"scf.yield {self.expression(index, 1)} : f64")
+                self.emit("}")
+            self.store(name, target, index)
+
+        self.loop(body)
+
     @property
     def text(self) -> str:
         head = (
@@ -168,15 +249,24 @@ def differentiate(tai_opt: str, text: str, pipeline: str) -> str:
 def compare(tools: SimpleNamespace, functions: list[Function], text: str) -> None:
     """Compares the gradient of each function with differences of the fourth order."""
     with tempfile.TemporaryDirectory() as name:
-        library = check_foreign.lower(tools, text, Path(name), "functions")
+        library, plain = (
+            check_foreign.lower(tools, text, Path(name), f"functions{level}", level)
+            for level in ("-O3", "-O0")
+        )
     kind = check_foreign.Type(ARRAY)
     rng = np.random.default_rng(1)
     for function in functions:
 
-        def run(values):
+        def run(values, library=library):
             values = [v.copy() for v in values]
             check_foreign.call(library, function.name, [kind] * 2, [], values)
             return values
+
+        def differentiate(library):
+            adjoints = [s.copy() for s in seeds]
+            arrays = [g.copy() for g in given] + adjoints
+            check_foreign.call(library, f"{function.name}_grad", [kind] * 4, [], arrays)
+            return adjoints
 
         before, seeds, direction = ([rng.uniform(-1, 1, SIZE) for _ in "xy"] for _ in range(3))
         attributes = check_foreign.signature(text, f"{function.name}_grad")[2]
@@ -186,10 +276,10 @@ def compare(tools: SimpleNamespace, functions: list[Function], text: str) -> Non
         )
         after = run(before)
         given = [(before if str(i) in restored.partition(": ")[2] else after)[i] for i in (0, 1)]
-        adjoints = [s.copy() for s in seeds]
-        check_foreign.call(
-            library, f"{function.name}_grad", [kind] * 4, [], [g.copy() for g in given] + adjoints
-        )
+        adjoints = differentiate(library)
+        for fast, slow in zip(after + adjoints, run(before, plain) + differentiate(plain)):
+            if not np.allclose(fast, slow, rtol=1e-12, atol=1e-12):
+                sys.exit(f"-O0 and -O3 differ: {function.name}\n{function.text}")
         h = 1e-3
 
         def at(step):

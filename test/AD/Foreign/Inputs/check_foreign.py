@@ -129,7 +129,7 @@ class Type:
         return made
 
 
-def lower(tools, text, directory, name):
+def lower(tools, text, directory, name, level="-O1"):
     """A shared library of a module."""
     if "@plain(" in text:
         # No stock pass lowers the function, which another one stands for.
@@ -163,7 +163,7 @@ def lower(tools, text, directory, name):
             tools.clang,
             "-shared",
             "-fPIC",
-            "-O1",
+            level,
             "-Wno-override-module",
             directory / f"{name}.ll",
             "-o",
