@@ -47,6 +47,7 @@ static constexpr HelpfulPass kPrepared[] = {
     {"memref.copy", kPrepare},
     {"memref.generic_atomic_rmw", kPrepare},
     {"arith.select", kPrepare},
+    {"gpu.launch", kPrepare},
     {"linalg.softmax", kPrepare},
     {"scf.execute_region", kPrepare},
     {"scf.for", kPrepare},

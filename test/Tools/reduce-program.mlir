@@ -1,5 +1,6 @@
 // RUN: tai-reduce %s -tai-reduction='test=%S/Inputs/has-sparse-store.sh' -o %t
 // RUN: FileCheck %s --input-file %t
+// RUN: grep -c . %t | FileCheck %s --check-prefix=LINES
 // RUN: FileCheck %s --check-prefix=COUNT --input-file %t
 // RUN: not tai-reduce %s -tai-reduction='test=/bin/true' 2>&1 | FileCheck %s --check-prefix=NONE
 
@@ -13,6 +14,9 @@
 // CHECK-NOT: tai.store
 //   COUNT-COUNT-1: tai.kernel
 //       COUNT-NOT: tai.kernel
+
+// Of 36 lines 9 are left.
+// LINES: {{^9$}}
 
 // NONE: error: the test does not find what it looks for in the input
 

@@ -98,7 +98,11 @@ LogicalResult mlir::tai::splitComplex(func::FuncOp function) {
   target.addIllegalDialect<complex::ComplexDialect>();
   target.addLegalOp<complex::CreateOp, complex::ReOp, complex::ImOp,
                     complex::ConstantOp>();
-  return applyPartialConversion(function, target, std::move(patterns));
+  if (failed(applyPartialConversion(function, target, std::move(patterns))))
+    return failure();
+  // Powers and signs are lowered to a choice between complex numbers.
+  splitSelects(function);
+  return success();
 }
 
 //===----------------------------------------------------------------------===//

@@ -360,6 +360,24 @@ LogicalResult Lowering::run() {
     });
     return success();
   }
+  if (auto interleave = dyn_cast<vector::InterleaveOp>(op)) {
+    SmallVector<Value> made;
+    for (auto [first, second] : llvm::zip(getElements(interleave.getLhs()),
+                                          getElements(interleave.getRhs())))
+      made.append({first, second});
+    replace(interleave.getResultVectorType(), made);
+    return success();
+  }
+  if (auto deinterleave = dyn_cast<vector::DeinterleaveOp>(op)) {
+    SmallVector<Value> parts[2];
+    for (auto [i, element] :
+         llvm::enumerate(getElements(deinterleave.getSource())))
+      parts[i % 2].push_back(element);
+    VectorType type = deinterleave.getResultVectorType();
+    for (auto [part, result] : llvm::zip(parts, op->getResults()))
+      result.replaceAllUsesWith(vector::FromElementsOp::create(b, type, part));
+    return success();
+  }
   auto insert = cast<vector::InsertStridedSliceOp>(op);
   SmallVector<Value> elements = getElements(insert.getDest());
   VectorType inner = insert.getSourceVectorType();
@@ -395,7 +413,8 @@ LogicalResult mlir::tai::lowerVectors(func::FuncOp function) {
             vector::TransferReadOp, vector::TransferWriteOp,
             vector::ContractionOp, vector::MultiDimReductionOp,
             vector::OuterProductOp, vector::ExtractStridedSliceOp,
-            vector::InsertStridedSliceOp>(op) &&
+            vector::InsertStridedSliceOp, vector::InterleaveOp,
+            vector::DeinterleaveOp>(op) &&
         !isOnTensors(op))
       ops.push_back(op);
   });

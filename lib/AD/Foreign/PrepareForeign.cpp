@@ -17,6 +17,7 @@
 #include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
 #include "mlir/Dialect/ControlFlow/IR/ControlFlowOps.h"
 #include "mlir/Dialect/ControlFlow/Transforms/BufferizableOpInterfaceImpl.h"
+#include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/Linalg/IR/Linalg.h"
 #include "mlir/Dialect/Linalg/Passes.h"
@@ -104,20 +105,22 @@ static bool isForeign(Operation *op) {
                         [](Region &region) {
                           return !isa<arith::AddFOp>(region.front().front());
                         });
+  if (auto loop = dyn_cast<scf::ForOp>(op); loop && loop.getUnsignedCmp())
+    return true;
   if (isa<arith::SelectOp, scf::ForOp, scf::IfOp, scf::WhileOp>(op))
     return llvm::any_of(op->getResultTypes(),
                         [](Type type) { return isa<BaseMemRefType>(type); });
   if (isa<memref::MemRefDialect>(op->getDialect()))
     return !isa<memref::LoadOp, memref::StoreOp, memref::DimOp,
                 memref::GetGlobalOp>(op);
-  return isa<func::CallOp, scf::ExecuteRegionOp, scf::ForallOp,
-             scf::IndexSwitchOp, vector::ContractionOp,
+  return isa<func::CallOp, gpu::LaunchOp, scf::ExecuteRegionOp, scf::ForallOp,
+             scf::IndexSwitchOp, vector::ContractionOp, vector::DeinterleaveOp,
              vector::ExtractStridedSliceOp, vector::GatherOp,
-             vector::InsertStridedSliceOp, vector::LoadOp, vector::MaskedLoadOp,
-             vector::MaskedStoreOp, vector::MultiDimReductionOp,
-             vector::OuterProductOp, vector::PrintOp, vector::ScatterOp,
-             vector::StoreOp, vector::TransferReadOp, vector::TransferWriteOp>(
-      op);
+             vector::InsertStridedSliceOp, vector::InterleaveOp, vector::LoadOp,
+             vector::MaskedLoadOp, vector::MaskedStoreOp,
+             vector::MultiDimReductionOp, vector::OuterProductOp,
+             vector::PrintOp, vector::ScatterOp, vector::StoreOp,
+             vector::TransferReadOp, vector::TransferWriteOp>(op);
 }
 
 static bool isTensor(Type type) { return isa<TensorType>(type); }
@@ -738,6 +741,7 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
       return failure();
     if (failed(splitComplex(copy)) || failed(promoteSlots(copy)))
       return failure();
+    lowerLoops(copy);
     OpPassManager lowering(func::FuncOp::getOperationName());
     addLowering(lowering);
     if (failed(runPipeline(lowering, copy)))

@@ -37,6 +37,53 @@ static SmallVector<Value> getMovingDimensions(scf::ParallelOp loop) {
   return moving;
 }
 
+/// True if the indices of the loop are the digits of `index`: a step of one of
+/// them moves it further than all those with smaller factors together.
+static bool hasDigits(scf::ParallelOp loop, const IndexExpr &index,
+                      ArrayRef<Value> digits) {
+  if (!index.isExact())
+    return false;
+  for (const auto &[atom, factor] : index.terms)
+    if (!llvm::is_contained(digits, atom.getValue()) &&
+        !atom.allOf(
+            [&](Value value) { return loop.isDefinedOutsideOfLoop(value); }))
+      return false;
+  // Pairs of the distance of one step, and the distance from the first
+  // iteration to the last, or none if that is not known.
+  SmallVector<std::pair<int64_t, std::optional<int64_t>>> moves;
+  constexpr int64_t most = int64_t(1) << 30;
+  for (auto [iv, lower, upper, step] :
+       llvm::zip(loop.getInductionVars(), loop.getLowerBound(),
+                 loop.getUpperBound(), loop.getStep())) {
+    if (!llvm::is_contained(digits, iv))
+      continue;
+    std::optional<int64_t> from = getConstantIntValue(lower),
+                           to = getConstantIntValue(upper),
+                           by = getConstantIntValue(step);
+    int64_t factor = std::abs(index.getCoefficient(iv));
+    if (factor == 0 || factor > most || !by || *by <= 0 || *by > most)
+      return false;
+    std::optional<int64_t> reach;
+    if (from && to && *to > *from && *to - *from <= most)
+      reach = (*to - *from - 1) / *by * *by * factor;
+    moves.emplace_back(*by * factor, reach);
+  }
+  llvm::sort(moves, llvm::less_first());
+  int64_t below = 0;
+  for (auto [i, pair] : llvm::enumerate(moves)) {
+    auto [move, reach] = pair;
+    if (move <= below)
+      return false;
+    // Only the first digit may be of any size.
+    if (!reach)
+      return i + 1 == moves.size();
+    if (*reach > most - below)
+      return false;
+    below += *reach;
+  }
+  return true;
+}
+
 LogicalResult mlir::tai::checkLoopsWithoutOrder(FunctionOpInterface function,
                                                 const Activity &activity) {
   LogicalResult result = success();
@@ -62,7 +109,10 @@ LogicalResult mlir::tai::checkLoopsWithoutOrder(FunctionOpInterface function,
           common.push_back(indices[i]);
       bool isActive = llvm::any_of(
           stores, [&](auto store) { return activity.isActiveAccess(store); });
-      if (!isActive || moving.empty() || isInjectiveOver(common, moving))
+      if (!isActive || moving.empty() || isInjectiveOver(common, moving) ||
+          llvm::any_of(common, [&](const IndexExpr &index) {
+            return hasDigits(loop, index, moving);
+          }))
         continue;
       InFlightDiagnostic diag = stores.front()->emitError(
           "iterations of a parallel loop may store to the same element here, "

@@ -48,6 +48,10 @@ void takeInterface(func::FuncOp original, func::FuncOp derivative);
 /// on single elements.
 LogicalResult lowerVectors(func::FuncOp function);
 
+/// Replaces loops of kinds that have no derivative: those with unsigned bounds
+/// by loops that count from zero, and those of `gpu.launch` by `scf.parallel`.
+void lowerLoops(func::FuncOp function);
+
 /// Replaces complex numbers by their real and imaginary parts.
 LogicalResult splitComplex(func::FuncOp function);
 /// Replaces arithmetic of the LLVM dialect by ops of arith and math.
