@@ -152,8 +152,8 @@ class Function:
             bound = self.new(f"math.tanh {part} : vector<4xf64>")
             mixed = self.new(f"vector.interleave {bound}, {bound} : vector<4xf64> -> vector<8xf64>")
             even = self.new(
-                f"vector.extract_strided_slice {mixed} {{offsets = [1], sizes = [4], strides = [1]}}"
-                " : vector<8xf64> to vector<4xf64>"
+                f"vector.extract_strided_slice {mixed} "
+                "{offsets = [1], sizes = [4], strides = [1]} : vector<8xf64> to vector<4xf64>"
             )
             self.emit(f"vector.transfer_write {even}, {target}[%c{index}] : vector<4xf64>, {ARRAY}")
         elif kind == "parallel":
