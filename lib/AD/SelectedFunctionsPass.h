@@ -15,6 +15,7 @@
 
 #include "mlir/IR/DialectRegistry.h"
 #include "tai/AD/Prepare/Selection.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Interfaces/Differentiable.h"
 
 namespace mlir::tai {
@@ -55,9 +56,7 @@ struct SelectedFunctionsPass : GeneratedBase<Pass> {
     if (auto module = dyn_cast<ModuleOp>(root))
       return selectFunctions(module, this->kernels);
     auto function = dyn_cast<FunctionOpInterface>(root);
-    if (!function)
-      return root->emitOpError("is neither a module nor a function");
-    bool isWanted = !function.isExternal() &&
+    bool isWanted = function && !function.isExternal() && belongsToTai(root) &&
                     (this->kernels.empty() ||
                      llvm::is_contained(this->kernels, function.getName()));
     return SmallVector<FunctionOpInterface>(isWanted ? 1 : 0, function);
