@@ -15,7 +15,7 @@
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/AD/Foreign.h"
+#include "tai/AD/Foreign/Foreign.h"
 
 using namespace mlir;
 using namespace mlir::tai;
