@@ -369,6 +369,105 @@ def ndarray():
     return borders(make)
 
 
+def arrays(*shape):
+    """Two arrays of random numbers with adjoints."""
+    made = [ti.ndarray(ti.f32, shape, needs_grad=True) for _ in range(2)]
+    for array in made:
+        for seed, part in enumerate((array, array.grad)):
+            values = np.random.RandomState(seed).random_sample(array.shape)
+            part.from_numpy(values.astype(np.float32))
+    return made
+
+
+@row
+def ndarray_periodic():
+    """Arrays as arguments, periodic."""
+
+    def make(n):
+        @ti.kernel
+        def form(a: ti.types.ndarray(ndim=1), b: ti.types.ndarray(ndim=1)):
+            m = a.shape[0]
+            for i in range(m):
+                b[i] = a[(i + 1) % m] - a[(i - 1) % m]
+
+        return form, arrays(n)
+
+    return borders(make)
+
+
+@row
+def ndarray_clamped():
+    """Arrays as arguments, with neighbours by `max` and `min`."""
+
+    def make(n):
+        @ti.kernel
+        def form(a: ti.types.ndarray(ndim=1), b: ti.types.ndarray(ndim=1)):
+            m = a.shape[0]
+            for i in range(m):
+                b[i] = a[ti.min(i + 1, m - 1)] - a[ti.max(i - 1, 0)]
+
+        return form, arrays(n)
+
+    return borders(make)
+
+
+@row
+def ndarray_plane():
+    """Arrays of two dimensions as arguments, against a field of the same size."""
+    n = 240
+    p, q = (real(n, n) for _ in range(2))
+
+    @ti.kernel
+    def form(a: ti.types.ndarray(ndim=2), b: ti.types.ndarray(ndim=2)):
+        for i, j in ti.ndrange((1, a.shape[0] - 1), (1, a.shape[1] - 1)):
+            b[i, j] = a[i + 1, j] + a[i - 1, j] + a[i, j + 1] + a[i, j - 1] - 4 * a[i, j]
+
+    @ti.kernel
+    def periodic():
+        for i, j in p:
+            q[i, j] = (
+                p[(i + 1) % n, j]
+                + p[(i - 1) % n, j]
+                + p[i, (j + 1) % n]
+                + p[i, (j - 1) % n]
+                - 4 * p[i, j]
+            )
+
+    return [("arrays", form, arrays(n, n)), ("periodic", periodic, ())]
+
+
+@row
+def ndarray_steps():
+    """An array with a time axis."""
+
+    def make(n):
+        @ti.kernel
+        def form(a: ti.types.ndarray(ndim=2), t: ti.i32):
+            for i in range(1, a.shape[1] - 1):
+                a[t + 1, i] = a[t, i + 1] - a[t, i - 1]
+
+        return form, (arrays(3, n)[0], 1)
+
+    return borders(make)
+
+
+@row
+def part():
+    """Periodic over a part of a field, whose length is an argument."""
+
+    def make(n):
+        x, y = real(n), real(n)
+
+        @ti.kernel
+        def form(m: ti.i32):
+            for i in range(m):
+                y[i] = x[(i + 1) % m] - x[(i - 1) % m]
+
+        return form, (n - 9,)
+
+    return borders(make)
+
+
 @row
 def run_time():
     """Bounds from an argument."""

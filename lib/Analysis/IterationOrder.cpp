@@ -6,7 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Compares all accesses of a loop to one storage. Arrays of the caller may be
-// identical: arrays with the same type of elements count as one storage.
+// identical: arrays with the same type of elements count as one storage, unless
+// the loop says that they are apart.
 //
 //===----------------------------------------------------------------------===//
 
@@ -135,7 +136,8 @@ static FailureOr<KeyedAccess> getAccess(ParallelForOp loop, Operation *op) {
   if (array) {
     if (!isFromOutside(loop, array))
       return none;
-    if (isa_and_present<memref::AllocOp, memref::AllocaOp>(
+    if (loop->hasAttr(kApartAttrName) ||
+        isa_and_present<memref::AllocOp, memref::AllocaOp>(
             array.getDefiningOp()))
       return KeyedAccess(array.getAsOpaquePointer(), access);
     Type element = cast<MemRefType>(array.getType()).getElementType();

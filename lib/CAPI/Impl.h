@@ -196,6 +196,7 @@ struct TaiProgramImpl {
 struct TaiTapeImpl {
   TaiContextImpl &context;
   std::unique_ptr<mlir::tai::runtime::Tape> tape;
+  std::string explanation;
   std::vector<TaiTapeAccess> accesses;
   std::vector<TaiTapeHealthRow> health;
   std::vector<TaiViolation> violations;

@@ -256,8 +256,18 @@ TaiStatus taiTapeResume(TaiTape tape) {
 
 const char *taiTapeExplain(TaiTape tape) {
   return callOr(
-      tape->context, static_cast<const char *>(nullptr),
-      [&]() -> const char * { return tape->tape->explain().c_str(); });
+      tape->context, static_cast<const char *>(nullptr), [&]() -> const char * {
+        tape->explanation = tape->tape->explain();
+        std::vector<const mlir::tai::runtime::Kernel *> known;
+        for (int64_t i = 0, e = tape->tape->numRecords(); i != e; ++i) {
+          const auto *kernel = tape->tape->kernelOf(i);
+          if (!kernel || llvm::is_contained(known, kernel))
+            continue;
+          known.push_back(kernel);
+          tape->explanation += tape->context.session.explainGathers(kernel);
+        }
+        return tape->explanation.c_str();
+      });
 }
 
 int64_t taiTapeNumRecords(TaiTape tape) {

@@ -30,6 +30,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
       // This pass makes versions of loops for different slots. Versions whose
       // iterations cannot meet need no order.
       function.addPass(createVersionSlots());
+      function.addPass(createVersionRanges());
+      function.addPass(createGatherRanges());
     }
     if (options.oneThread)
       function.addPass(createKeepOrder());

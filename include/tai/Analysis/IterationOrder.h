@@ -19,6 +19,10 @@
 
 namespace mlir::tai {
 
+/// On a loop: no array argument that it writes overlaps with another one. A
+/// dropped attribute costs time only.
+constexpr llvm::StringLiteral kApartAttrName = "tai.apart";
+
 /// The position of an access in its storage: the indices of the element, and
 /// the indices of the component if the access reaches only one component.
 struct ElementPlace {

@@ -116,4 +116,88 @@ def VersionSlots : Pass<"tai-version-slots"> {
   ];
 }
 
+def VersionRanges : Pass<"tai-version-ranges"> {
+  let summary = "give a loop to bounds of the launch an interior";
+  let description = [{
+    In a loop whose bounds are known at the launch, decides comparisons, minima,
+    maxima and remainders of indices that have one answer for all iterations but
+    a few at both ends of a range: `(i + 1) % n` is `i + 1` there, and `max(i - 1,
+    0)` is `i - 1`. The loop becomes one over the interior, in which they are
+    decided, and for each index one over the iterations near both ends, which is
+    the loop as it was. The launch takes these if its ranges are long enough and
+    no array that the loop writes overlaps with another one.
+
+    Loops whose iterations may meet in memory, with more than `max-ops`
+    operations, or with random numbers stay as they are.
+
+    ```mlir
+    tai.parallel_for (%i) = (%c0) to (%n) {
+      %1 = arith.addi %i, %c1 : index
+      %2 = arith.remsi %1, %n : index
+      %3 = memref.load %x[%2] : memref<?xf32>
+      memref.store %3, %y[%i] : memref<?xf32>
+    }
+    // becomes, where n is at least 3, and the arrays are apart
+    tai.parallel_for (%i) = (%c1) to (%m) {
+      %1 = arith.addi %i, %c1 : index
+      %3 = memref.load %x[%1] : memref<?xf32>
+      memref.store %3, %y[%i] : memref<?xf32>
+    }
+    // and a loop of two iterations
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::memref::MemRefDialect",
+                           "::mlir::scf::SCFDialect"];
+  let options = [
+    Option<"maxOps", "max-ops", "int64_t", /*default=*/"160",
+           "Most operations of a loop that gets versions">,
+  ];
+}
+
+def GatherRanges : Pass<"tai-gather-ranges"> {
+  let summary = "gather additions over ranges and arrays of the launch";
+  let description = [{
+    Does for loops whose bounds are known at the launch, and for additions to
+    array arguments, what `tai-scatter-to-gather` does for fields and constant
+    bounds: the iteration that owns an element makes all additions to it. Each
+    addition has to be at a constant distance from the iteration along each
+    index of the loop.
+
+    The loop becomes several: one over the elements for which all terms exist;
+    for each index, one over the elements near the ends of its range, with
+    tests; and a copy of the loop without the additions. The launch takes them if
+    the range is as long as the stencil is wide, and no array that the loop
+    writes overlaps with another one. Otherwise it takes the loop as it was.
+
+    The pass leaves alone: additions to elements that the loop also reads,
+    values that read what other iterations write, loops with more than `max-ops`
+    operations to compute again, and kernels whose sums are compensated or have
+    one order for all targets.
+
+    ```mlir
+    tai.parallel_for (%i) = (%c1) to (%n) {
+      %0 = memref.load %y[%i] : memref<?xf32>
+      %1 = arith.subi %i, %c1 : index
+      %2 = memref.atomic_rmw addf %0, %x[%1] : (f32, memref<?xf32>) -> f32
+    }
+    // becomes, where %x and %y do not overlap
+    tai.parallel_for (%i) = (%c0) to (%m) {
+      %1 = arith.addi %i, %c1 : index
+      %0 = memref.load %y[%1] : memref<?xf32>
+      %2 = memref.load %x[%i] : memref<?xf32>
+      %3 = arith.addf %2, %0 : f32
+      memref.store %3, %x[%i] : memref<?xf32>
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::memref::MemRefDialect",
+                           "::mlir::scf::SCFDialect"];
+  let options = [
+    Option<"maxOps", "max-ops", "unsigned", /*default=*/"128",
+           "Largest number of operations computed again">,
+  ];
+}
+
 #endif // TAI_TRANSFORMS_VERSIONS_TD

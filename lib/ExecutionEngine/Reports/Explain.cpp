@@ -241,6 +241,14 @@ static void describeGathers(llvm::raw_ostream &os, StringRef where,
   }
 }
 
+std::string mlir::tai::explainGathers(StringRef where,
+                                      ArrayRef<KeptRemark> remarks) {
+  std::string text;
+  llvm::raw_string_ostream os(text);
+  describeGathers(os, where, remarks);
+  return text;
+}
+
 std::string mlir::tai::explainKernel(ModuleOp module, StringRef name,
                                      bool onDevice,
                                      ArrayRef<KeptRemark> remarks,

@@ -304,6 +304,21 @@ FailureOr<std::string> Session::getIR(SessionKernel &kernel, StringRef stage) {
   return *text;
 }
 
+std::string Session::explainGathers(const runtime::Kernel *kernel) {
+  auto found = llvm::find_if(kernels, [&](SessionKernel &each) {
+    return each.kernel.get() == kernel;
+  });
+  if (found == kernels.end())
+    return {};
+  Failure reason;
+  RemarkScope gradient;
+  CompileRequest::Goal goal = found->code->getTapeGoal(*found->kernel);
+  (void)compiler->print(found->code->getRequest(goal), "scf",
+                        found->code->getOptions(), reason);
+  return tai::explainGathers("gradient of @" + found->code->getName(),
+                             gradient.getRemarks());
+}
+
 FailureOr<std::string> Session::explain(SessionKernel &kernel) {
   RemarkScope scope;
   Failure reason;

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapeReport.h"
+#include "Plan/LiveSlabs.h"
 #include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 
@@ -60,6 +61,71 @@ static std::string describePlace(const Access &access, const uint64_t *args) {
   return text + "]";
 }
 
+/// Whether the launches of `kernel` count as accesses to all of a field that
+/// this access reaches, and why; empty if its fixed indices count.
+static const char *findWhole(const Kernel &kernel, const Access &access) {
+  if (access.field->rank() == 0)
+    return "";
+  if (!kernel.hasZeroingAdjoint())
+    return "its adjoint may access other elements";
+  if (LiveSlabs::hasManyPlaces(kernel, *access.field))
+    return "it has too many accesses to tell them apart";
+  if (access.fixed.empty())
+    return "no index is the same in all iterations";
+  return "";
+}
+
+/// Whether two launches certainly access different elements of one field.
+static bool areApart(const Kernel &kernel, const Access &access,
+                     const uint64_t *args, const Kernel &otherKernel,
+                     const Access &other, const uint64_t *otherArgs) {
+  if (*findWhole(kernel, access) || *findWhole(otherKernel, other))
+    return false;
+  for (const FixedIndex &index : access.fixed)
+    for (const FixedIndex &otherIndex : other.fixed)
+      if (index.dimension == otherIndex.dimension &&
+          index.evaluate(args) != otherIndex.evaluate(otherArgs))
+        return true;
+  return false;
+}
+
+/// Names the next record in the sweep's plan that reads what the record at
+/// `index` writes, and says why accesses count as accesses to a whole field.
+static std::string explainReach(const TapeRecording &recording,
+                                const TapePlan &plan, size_t index) {
+  // Most values are read soon; tapes can have millions of records.
+  constexpr size_t kMostRecords = 1024;
+  const TapeRecording::Record &record = recording[index];
+  const Kernel &kernel = *record.kernel;
+  const uint64_t *args = recording.args(record);
+  size_t end = std::min(recording.size(), index + 1 + kMostRecords);
+  for (size_t next = index + 1; next < end; ++next) {
+    const TapeRecording::Record &reader = recording[next];
+    if (plan[next] != Decision::Replay || !reader.kernel)
+      continue;
+    const uint64_t *readerArgs = recording.args(reader);
+    for (const Access &read : reader.kernel->summary()) {
+      if (read.kind != AccessKind::Read || !read.field->adjoint())
+        continue;
+      for (const Access &write : kernel.summary()) {
+        if (write.kind == AccessKind::Read || write.field != read.field ||
+            areApart(kernel, write, args, *reader.kernel, read, readerArgs))
+          continue;
+        std::string text = "; record " + std::to_string(next) + " reads " +
+                           describePlace(read, readerArgs);
+        const char *wholeRead = findWhole(*reader.kernel, read);
+        const char *wholeWrite = findWhole(kernel, write);
+        if (*wholeRead && !*wholeWrite)
+          text += " (all of it: " + std::string(wholeRead) + ")";
+        else if (*wholeWrite && !*wholeRead)
+          text += ", and this one writes all of it: " + std::string(wholeWrite);
+        return text;
+      }
+    }
+  }
+  return "";
+}
+
 static std::string explainUnreached(const Kernel *kernel,
                                     const uint64_t *args) {
   if (!kernel)
@@ -81,10 +147,12 @@ static std::string explainUnreached(const Kernel *kernel,
 }
 
 static std::string explainDecision(Decision decision, const Kernel *kernel,
-                                   const uint64_t *args, bool loadsStored) {
+                                   const uint64_t *args, bool loadsStored,
+                                   const std::string &reader) {
   switch (decision) {
   case Decision::Replay:
-    return explainReplay(*kernel) + explainStored(*kernel, loadsStored);
+    return explainReplay(*kernel) + reader +
+           explainStored(*kernel, loadsStored);
   case Decision::Unpruned:
     return "replayed, without effect: 'dead-launches' is off";
   case Decision::SkipNoDerivative:
@@ -109,10 +177,13 @@ void TapeReport::addRecord(const TapeRecording &recording, const TapePlan &plan,
                            const AdjointForms &forms, size_t index,
                            int64_t savedBytes, uint32_t timesRecomputed) {
   const TapeRecording::Record &record = recording[index];
+  std::string reader;
+  if (plan[index] == Decision::Replay)
+    reader = explainReach(recording, plan, index);
   text += std::to_string(index) + ": " + recording.describe(record) + ": " +
           explainDecision(plan[index], record.kernel,
                           record.kernel ? recording.args(record) : nullptr,
-                          forms.loadsStored(index));
+                          forms.loadsStored(index), reader);
   if (savedBytes)
     text += "; saved " + formatBytes(savedBytes);
   if (timesRecomputed)

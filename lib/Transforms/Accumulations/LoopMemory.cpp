@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "LoopMemory.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Transforms/RegionUtils.h"
 #include "tai/Analysis/AccessOrder.h"
@@ -77,17 +78,17 @@ bool LoopMemory::isStable(LoadOp load, const void *added,
 }
 
 bool tai::canRecompute(Value value, LoopBox &box,
-                       llvm::function_ref<bool(LoadOp)> isStable,
+                       llvm::function_ref<bool(Operation *)> isStable,
                        llvm::SmallDenseSet<Operation *> &seen) {
   Operation *op = value.getDefiningOp();
   if (!op || !box.loop->isProperAncestor(op) || !seen.insert(op).second)
     return true;
   bool isAllowed = true;
   op->walk([&](Operation *inner) {
-    auto load = dyn_cast<LoadOp>(inner);
-    isAllowed &= load ? isStable(load)
-                      : inner->hasTrait<OpTrait::HasRecursiveMemoryEffects>() ||
-                            isMemoryEffectFree(inner);
+    isAllowed &= isa<LoadOp, memref::LoadOp>(inner)
+                     ? isStable(inner)
+                     : inner->hasTrait<OpTrait::HasRecursiveMemoryEffects>() ||
+                           isMemoryEffectFree(inner);
   });
   if (!isAllowed)
     return false;
@@ -114,10 +115,11 @@ bool LoopMemory::isMovable(StoreOp store, LoopBox &box) {
     return false;
   // The loop to which the store moves recomputes its operands and conditions,
   // so the memory that they load must be unchanged then.
-  auto isUntouched = [&](LoadOp load) {
-    return llvm::all_of(
-        accesses[getStorageKey(load)],
-        [](const LoopAccess &access) { return isa<LoadOp>(access.op); });
+  auto isUntouched = [&](Operation *load) {
+    return isa<LoadOp>(load) && llvm::all_of(accesses[getStorageKey(load)],
+                                             [](const LoopAccess &access) {
+                                               return isa<LoadOp>(access.op);
+                                             });
   };
   llvm::SmallDenseSet<Operation *> seen;
   auto canRepeat = [&](Value operand) {

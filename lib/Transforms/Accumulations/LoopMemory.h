@@ -58,11 +58,11 @@ private:
   bool isKnown = true;
 };
 
-/// True if `value` can be computed again in another iteration, from operations
-/// without effects and from reads that `isStable` allows. Adds the operations
-/// to `seen`.
+/// True if `value` can be computed again in another iteration: it is made of
+/// operations without effects, and of reads of fields and arrays that
+/// `isStable` allows. Adds the operations to `seen`.
 bool canRecompute(Value value, LoopBox &box,
-                  llvm::function_ref<bool(LoadOp)> isStable,
+                  llvm::function_ref<bool(Operation *)> isStable,
                   llvm::SmallDenseSet<Operation *> &seen);
 
 /// The `scf.if` ops between an operation and the loop, outermost first; nullopt

@@ -28,18 +28,19 @@
 //===----------------------------------------------------------------------===//
 
 #include "LoopMemory.h"
+#include "Recomputation.h"
 #include "Scatters.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Remarks.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
-#include "mlir/Transforms/RegionUtils.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/IndexBounds.h"
 #include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Support/BoundsMode.h"
 #include "tai/Support/Places.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Utils/ArrayRanges.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_SCATTERTOGATHER
@@ -48,68 +49,6 @@ namespace mlir::tai {
 
 using namespace mlir;
 using namespace mlir::tai;
-
-namespace {
-/// Recomputes values of the loop body in the iteration that `mapping` gives.
-class Recomputation {
-public:
-  Recomputation(OpBuilder &builder, LoopBox &box, IRMapping mapping)
-      : builder(builder), box(box), mapping(std::move(mapping)) {}
-
-  Value get(Value value) {
-    if (Value known = mapping.lookupOrNull(value))
-      return known;
-    Operation *op = value.getDefiningOp();
-    if (!op || !box.loop->isProperAncestor(op))
-      return value;
-    for (Value operand : op->getOperands())
-      get(operand);
-    llvm::SetVector<Value> captured;
-    getUsedValuesDefinedAbove(op->getRegions(), captured);
-    for (Value operand : captured)
-      get(operand);
-    Operation *clone = builder.clone(*op, mapping);
-    return clone->getResult(cast<OpResult>(value).getResultNumber());
-  }
-
-  OpBuilder &builder;
-  LoopBox &box;
-  IRMapping mapping;
-};
-} // namespace
-
-static Value createZero(OpBuilder &builder, Location loc, Type type) {
-  return arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
-}
-
-/// Emits the value that `scatter` adds, computed under its conditions from
-/// number `depth` on; zero where one of these conditions does not hold.
-static Value recomputeBelow(Recomputation &at, Scatter &scatter,
-                            unsigned depth) {
-  Location loc = scatter.op.getLoc();
-  if (depth == scatter.conditions.size())
-    return at.get(scatter.op.getValue());
-  scf::IfOp original = scatter.conditions[depth];
-  Type type = scatter.op.getValue().getType();
-  bool inThen =
-      original.getThenRegion().isAncestor(scatter.op->getParentRegion());
-  Value condition = at.get(original.getCondition());
-  auto branch = [&](bool taken) {
-    return [&, taken](OpBuilder &builder, Location) {
-      Value result;
-      if (taken) {
-        Recomputation inner(builder, at.box, at.mapping);
-        result = recomputeBelow(inner, scatter, depth + 1);
-      } else {
-        result = createZero(builder, loc, type);
-      }
-      scf::YieldOp::create(builder, loc, result);
-    };
-  };
-  return scf::IfOp::create(at.builder, loc, condition, branch(inThen),
-                           branch(!inThen))
-      .getResult(0);
-}
 
 /// Adds to `tests` the comparisons needed for `index`, which is in [least,
 /// end), to be in `range`.
@@ -201,7 +140,8 @@ static Value createGuarded(OpBuilder &builder, Location loc, Type type,
                scf::YieldOp::create(nested, loc, value(nested));
              },
              [&](OpBuilder &nested, Location) {
-               scf::YieldOp::create(nested, loc, createZero(nested, loc, type));
+               scf::YieldOp::create(nested, loc,
+                                    createZeroValue(nested, loc, type));
              })
       .getResult(0);
 }
@@ -229,8 +169,9 @@ static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter,
   Type type = scatter.op.getValue().getType();
   auto value = [&](OpBuilder &nested) {
     auto below = [&](OpBuilder &nested) {
-      Recomputation at(nested, box, mapping);
-      return recomputeBelow(at, scatter, 0);
+      Recomputation at(nested, box.loop, mapping);
+      return recomputeUnder(at, scatter.op, scatter.op.getValue(),
+                            scatter.conditions);
     };
     Value visited = emitIsVisited(nested, box, mapping, scatter);
     return visited ? createGuarded(nested, loc, type, visited, below)
@@ -333,7 +274,7 @@ static Gathered gather(LoopBox &box, Group &group, TermSum sum) {
   IRMapping identity;
   for (BlockArgument iv : box.ivs())
     identity.map(iv, iv);
-  Recomputation here(builder, box, std::move(identity));
+  Recomputation here(builder, box.loop, std::move(identity));
   for (auto [dimension, index] : llvm::enumerate(first.op.getIndices())) {
     const auto *k = llvm::find(first.dimension, dimension);
     gathered.indices.push_back(
@@ -420,7 +361,7 @@ createLaterStores(LoopBox &box,
     if (store->getBlock() != from) {
       from = store->getBlock();
       builder.setInsertionPoint(body.getTerminator());
-      at.emplace(builder, box, ivs);
+      at.emplace(builder, box.loop, ivs);
       SmallVector<scf::IfOp> conditions = *getConditions(store, box);
       for (scf::IfOp original : conditions) {
         bool inThen =
@@ -498,7 +439,9 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
 
 /// Emits a remark that the additions at `op` are gathered, or why they are not.
 static void report(AtomicOp op, const GatherRefusal *why) {
-  if (!op.getContext()->getRemarkEngine() || (why && why->isSum))
+  auto loop = op->getParentOfType<ParallelForOp>();
+  if (!op.getContext()->getRemarkEngine() || (why && why->isSum) ||
+      loop->hasAttr(kFallbackAttrName))
     return;
   auto function = op->getParentOfType<FunctionOpInterface>();
   auto options = remark::RemarkOpts::name(why ? "scattered" : "gathered")

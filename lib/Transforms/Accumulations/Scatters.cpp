@@ -199,9 +199,10 @@ tai::getGroups(FieldOp field, LoopBox &box, ArrayRef<AtomicOp> atomics,
   auto canRepeat = [&](Value value, llvm::SmallDenseSet<Operation *> &seen) {
     return canRecompute(
         value, box,
-        [&](LoadOp load) {
-          if (isStable(load))
-            return true;
+        [&](Operation *op) {
+          auto load = dyn_cast<LoadOp>(op);
+          if (!load || isStable(load))
+            return load != nullptr;
           why.set(load, Twine("'") + load.getField() +
                             "' is both read and written by the loop");
           return false;

@@ -195,8 +195,13 @@ def test_gathers_and_scatters():
 
     @ti.kernel
     def short(m: ti.i32):
-        for i in range(m):  # bounds
-            y[i] = x[i + 1] - x[i]
+        for i in range(m):
+            y[i] = x[i + 1] - x[i]  # bounds
+
+    @ti.kernel
+    def strided(m: ti.i32):
+        for i in range(m):  # strides
+            y[i] = x[2 * i]
 
     def where(kernel, mark):
         return f"gradient at test_explain.py:{line_of(kernel, mark)}: additions to x_grad are "
@@ -205,6 +210,7 @@ def test_gathers_and_scatters():
     line = line_of(scattered, "# data")
     reason = f"scattered: an index comes from data (line {line})\n"
     assert where(scattered, "# data") + reason in scattered.explain()
-    text = short.explain(n - 1)
+    assert where(short, "# bounds") + "gathered\n" in short.explain(n - 1)
+    text = strided.explain(n // 2)
     assert "scattered: the bounds of the loop are known at run time" in text
-    assert f"(line {line_of(short, '# bounds')})" in text
+    assert f"(line {line_of(strided, '# strides')})" in text

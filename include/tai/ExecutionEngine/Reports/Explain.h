@@ -51,6 +51,10 @@ std::string explainKernel(ModuleOp module, StringRef name, bool onDevice,
                           ArrayRef<KeptRemark> lowering,
                           ArrayRef<KeptRemark> gradient);
 
+/// A line for each field whose additions are gathered, or are not, and why.
+/// `where` is the function, such as "kernel".
+std::string explainGathers(StringRef where, ArrayRef<KeptRemark> remarks);
+
 } // namespace mlir::tai
 
 #endif // TAI_EXECUTIONENGINE_REPORTS_EXPLAIN_H

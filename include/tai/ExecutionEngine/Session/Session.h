@@ -174,6 +174,9 @@ public:
   FailureOr<std::string> getIR(SessionKernel &kernel, StringRef stage);
   /// How the gradient of a kernel handles loops, branches and memory, as text.
   FailureOr<std::string> explain(SessionKernel &kernel);
+  /// A line for each sum of additions that the gradient of a kernel gathers, or
+  /// does not, and why; empty if it has no gradient.
+  std::string explainGathers(const runtime::Kernel *kernel);
 
   std::list<SessionKernel> &getKernels() { return kernels; }
   /// Adds to `module` the tree and field declarations that it refers to and

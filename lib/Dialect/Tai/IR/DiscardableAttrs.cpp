@@ -55,6 +55,8 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.independent", Kind::Unit},
     {"tai.index_bits", Kind::Integer},
     {"tai.interior", Kind::Numbers},
+    {"tai.apart", Kind::Unit},
+    {"tai.fallback", Kind::Unit},
     {"tai.tiles", Kind::Any},
     // Attributes on which the meaning of a program does not depend.
     {"tai.accumulate", Kind::Register},

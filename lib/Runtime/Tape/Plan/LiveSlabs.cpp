@@ -27,6 +27,13 @@ size_t LiveSlabs::numberOf(const Field &field) {
 /// matrix of weights, counts as accessing all elements of the field.
 static constexpr size_t mostPlaces = 16;
 
+bool LiveSlabs::hasManyPlaces(const Kernel &kernel, const Field &field) {
+  const std::vector<Access> &all = kernel.summary();
+  return std::count_if(all.begin(), all.end(), [&](const Access &access) {
+           return access.field.get() == &field;
+         }) > static_cast<ptrdiff_t>(mostPlaces);
+}
+
 void LiveSlabs::collect(const Kernel &kernel, KernelUses &uses) {
   static const std::vector<FixedIndex> nowhere;
   std::unordered_map<const Field *, size_t> places;

@@ -33,6 +33,10 @@ public:
   /// Marks no element of the field as live any more.
   void remove(const Field &field);
 
+  /// Whether a kernel has so many accesses to a field that they count as one
+  /// access to all of its elements.
+  static bool hasManyPlaces(const Kernel &kernel, const Field &field);
+
   bool has(const Field &field) const;
   /// True if a launch writes, or overwrites, elements whose adjoints may be
   /// non-zero.

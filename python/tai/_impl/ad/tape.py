@@ -411,7 +411,11 @@ class Tape(native.WithBlock):
             arrays.renew_digests()
 
     def explain(self) -> str:
-        """One line for each record: replayed or skipped, and why."""
+        """One line for each record: replayed or skipped, and why.
+
+        Lines on the gradients of the kernels follow: whether additions to other elements are
+        gathered, or the condition that failed and its line.
+        """
         self._need_record()
         return self._core.explain()
 
