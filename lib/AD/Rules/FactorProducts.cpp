@@ -112,8 +112,8 @@ static Value createCommutator(TangentBuilder &b, Value turn, Value matrix) {
   return b.createVector(cast<VectorType>(turn.getType()), entries);
 }
 
-/// Emits [E, M] = E M - M E for the product M of `factors`; null if there are
-/// no factors.
+/// Emits the commutator E M - M E of the matrix E, which is `turn`, and the
+/// product M of the matrices `factors`; null if there are no factors.
 static Value createCommutator(TangentBuilder &b, Value turn,
                               ArrayRef<Value> factors) {
   Value sum, before;

@@ -124,8 +124,9 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
 
     SmallVector<Value> zeroBased = emitZeroBased(rewriter, loc, field, indices);
     Value inRange = lowering.checkElement(op, field, zeroBased);
-    // The loop will do this update itself. The op remains until then, and its
-    // indices need a check, too.
+    // A later pass makes the parallel loop perform this update, in place of the
+    // op. Until that pass runs, the op remains, so its indices are checked here
+    // as those of any other access are.
     if (isDoneByLoop(op)) {
       if (inRange) {
         auto branch = scf::IfOp::create(rewriter, loc, inRange);

@@ -77,8 +77,9 @@ private:
 
   const Device &device;
   const Sequence &sequence;
-  /// plain: the schedule of single steps. tiled: the schedule with chains as
-  /// units; empty if there are no chains.
+  /// plain: the schedule whose units are the steps of a program, one launch
+  /// each. tiled: the schedule whose units are chains of steps that run tile by
+  /// tile; empty if no steps form such a chain.
   Schedule plain, tiled;
   bool wantsTiles = false;
   /// All tile chains found so far, by number.

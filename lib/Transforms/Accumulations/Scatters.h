@@ -69,7 +69,8 @@ struct Scatter {
   }
 };
 
-/// Scatters to one slice of a field.
+/// The scatters, that is, atomic additions at indices that depend on the
+/// iteration, whose elements are in one slice of a field.
 using Group = SmallVector<Scatter, 0>;
 
 /// The reason why additions stay scattered, in words for the author of the

@@ -29,9 +29,10 @@ bool hasGuardsInside(Operation &op);
 
 Value markLikely(OpBuilder &builder, Value condition);
 
-/// Puts the code from `begin` to the end of its block into both branches of an
-/// if: a copy that `bare` maps into the first branch; `own` and the original
-/// code into the second one.
+/// Makes two versions of the code from `begin` to the end of its block, in the
+/// branches of an `scf.if` on `condition`: the then branch gets a copy, whose
+/// values `bare` maps to; the else branch gets the original code, with the ops
+/// `own` in front of it.
 scf::IfOp createVersions(Operation *begin, Value condition, IRMapping &bare,
                          ArrayRef<Operation *> own);
 
