@@ -53,6 +53,7 @@ tai.kernel @central(%x: memref<?xf32>, %y: memref<?xf32>, %n: index) {
 }
 
 // A field, up to a bound of the launch. Nothing is left for the copy.
+// SMALL-LABEL: tai.kernel @bound(
 // CHECK-LABEL: tai.kernel @bound(
 //       CHECK:   scf.if
 //       CHECK:     tai.parallel_for (%[[I:.+]]) =

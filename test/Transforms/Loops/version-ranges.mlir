@@ -34,6 +34,7 @@ tai.kernel @periodic(%x: memref<?xf32>, %y: memref<?xf32>, %n: index) {
 }
 
 // Indices that are cut off at both ends.
+// SMALL-LABEL: tai.kernel @clamped(
 // CHECK-LABEL: tai.kernel @clamped(
 //       CHECK:   scf.if
 //       CHECK:     tai.parallel_for (%[[I:.+]]) =

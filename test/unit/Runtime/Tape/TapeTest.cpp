@@ -233,7 +233,8 @@ TEST(RuntimeTape, SkipsWhatCannotContribute) {
   ASSERT_OK(tape->backward());
   EXPECT_EQ(tape->numSkipped(), 4);
   EXPECT_EQ(tape->explain(),
-            "0: @y=sin(x): replayed, from the adjoints of @y to those of @x\n"
+            "0: @y=sin(x): replayed, from the adjoints of @y to those of @x; "
+            "record 4 reads @y\n"
             "1: @w=sin(x): skipped: no adjoint reaches @w\n"
             "2: @count: skipped: it changes no field that has an adjoint\n"
             "3: @plain: skipped: it has nothing to differentiate\n"

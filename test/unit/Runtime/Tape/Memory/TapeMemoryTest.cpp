@@ -216,7 +216,7 @@ TEST(RuntimeTapeSave, StateWithoutTime) {
                 1e-12);
   EXPECT_EQ(tape->stats().savedBytes, steps * n * 8);
   EXPECT_NE(tape->explain().find("@drift: replayed, from the adjoints of @x to "
-                                 "those of @y; saved 32 B"),
+                                 "those of @y; record 2 reads @x; saved 32 B"),
             std::string::npos)
       << tape->explain();
 }
