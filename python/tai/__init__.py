@@ -54,7 +54,7 @@ from ._impl.base.dtypes import (
     uint32,
     uint64,
 )
-from ._impl.base.mesh import Mesh, mesh
+from ._impl.base.mesh import mesh
 from ._impl.base.options import CRITICAL, DEBUG, ERROR, INFO, TRACE, WARN
 from ._impl.base.program import reset, sync
 from ._impl.base.start import init

@@ -32,7 +32,6 @@ from ._impl.ad.saved import export as export
 from ._impl.ad.solve import solve_to as solve_to
 from ._impl.base.log_level import is_logging_effective as is_logging_effective
 from ._impl.base.log_level import set_logging_level as set_logging_level
-from ._impl.base.mesh import Mesh as Mesh
 from ._impl.base.mesh import mesh as mesh
 from ._impl.base.program import reset as reset
 from ._impl.base.program import sync as sync

@@ -201,7 +201,7 @@ def test_gathers_and_scatters():
     @ti.kernel
     def strided(m: ti.i32):
         for i in range(m):  # strides
-            y[i] = x[2 * i]
+            y[i] = x[2 * i] + x[2 * i + 3]
 
     def where(kernel, mark):
         return f"gradient at test_explain.py:{line_of(kernel, mark)}: additions to x_grad are "
@@ -211,6 +211,6 @@ def test_gathers_and_scatters():
     reason = f"scattered: an index comes from data (line {line})\n"
     assert where(scattered, "# data") + reason in scattered.explain()
     assert where(short, "# bounds") + "gathered\n" in short.explain(n - 1)
-    text = strided.explain(n // 2)
+    text = strided.explain(n // 3)
     assert "scattered: the bounds of the loop are known at run time" in text
     assert f"(line {line_of(strided, '# strides')})" in text

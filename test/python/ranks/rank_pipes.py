@@ -88,6 +88,7 @@ def run_ranks(run: Callable, ranks: int, *given: Any) -> list[Any]:
             good, result = pickle.loads(own.recv_bytes())
             results.append(result if good else f"failed: {result}")
         except EOFError:
+            process.join()  # Its pipe closes before it has ended.
             results.append(f"ended with {process.exitcode}")
     for process in processes:
         process.join()
