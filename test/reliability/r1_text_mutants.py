@@ -56,6 +56,9 @@ class Upstream:
 
 COMPOSITE = r"\b(?:(?:tensor|memref|tuple|complex)<[^<>\n]*>|none\b|index\b)"
 KNOWN_UPSTREAM = [
+    Upstream("%j = affine.apply (...)(%j): the verifier follows the operand without end",
+             re.compile(r"(?P<own>%\w+) = affine\.apply [^\n]*(?P=own)\b[^\n]*"),
+             lambda match: f"{match['own']} = arith.constant 0 : index"),
     Upstream("array<index: ...>: an index type is asked for its bits",
              re.compile(r"(array<\s*)index"), lambda match: f"{match[1]}i64"),
     Upstream("llvm.atomicrmw of a type that is neither a scalar nor a vector",
