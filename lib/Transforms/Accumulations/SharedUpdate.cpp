@@ -101,11 +101,10 @@ bool mlir::tai::decidesOnlyFlags(DifferentiableAccessInterface read,
       if (inner->getNumRegions() != 0 || isMemoryEffectFree(inner))
         return WalkResult::advance();
       auto access = dyn_cast<DifferentiableAccessInterface>(inner);
-      bool isBenign =
-          access && (access.getAccessKind() == AccessKind::Read ||
-                     (isa<StoreOp, memref::StoreOp>(inner) &&
-                      getSharing(access, loop) != Sharing::Own &&
-                      storesTheSame(access, loop)));
+      bool isBenign = access && (access.getAccessKind() == AccessKind::Read ||
+                                 (isa<StoreOp, memref::StoreOp>(inner) &&
+                                  getSharing(access, loop) != Sharing::Own &&
+                                  storesTheSame(access, loop)));
       return isBenign ? WalkResult::advance() : WalkResult::interrupt();
     });
     if (result.wasInterrupted())

@@ -5,8 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Hand-written kernels with hand-written adjoints: y = sin(x), z = y*y, loss +=
-// z, over small fields, and variations of these.
+// Hand-written kernels and adjoints over small fields, such as y = sin(x).
 //
 //===----------------------------------------------------------------------===//
 
