@@ -451,9 +451,8 @@ def ndarray_steps():
     return borders(make)
 
 
-@row
-def part():
-    """Periodic over a part of a field, whose length is an argument."""
+def periodic_to(length):
+    """A periodic stencil whose period, `length(n)`, is an argument."""
 
     def make(n):
         x, y = real(n), real(n)
@@ -463,9 +462,16 @@ def part():
             for i in range(m):
                 y[i] = x[(i + 1) % m] - x[(i - 1) % m]
 
-        return form, (n - 9,)
+        return form, (length(n),)
 
     return borders(make)
+
+
+@row
+def part():
+    """Periodic over a part of a field, whose length is an argument."""
+
+    return periodic_to(lambda n: n - 9)
 
 
 @row
@@ -489,17 +495,7 @@ def run_time():
 def run_time_periodic():
     """Periodic, with the period from an argument."""
 
-    def make(n):
-        x, y = real(n), real(n)
-
-        @ti.kernel
-        def form(m: ti.i32):
-            for i in range(m):
-                y[i] = x[(i + 1) % m] - x[(i - 1) % m]
-
-        return form, (n,)
-
-    return borders(make)
+    return periodic_to(lambda n: n)
 
 
 @row

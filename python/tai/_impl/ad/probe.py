@@ -260,7 +260,7 @@ def _look_for_kinks(probe: Probe, scale: float, noise: float) -> None:
             gaps.append((rung.step, gap))
     small = [(s, g) for s, g in gaps if 1e-8 <= s <= 1e-4]
     if len(small) >= 2:
-        # Tells what the function is at this point. At a smooth point, the difference of the
+        # Classifies the function at this point. At a smooth point, the difference of the
         # one-sided slopes shrinks with the step; at a kink it stays; at a jump it grows.
         growth = np.log(small[-1][1] / small[0][1]) / np.log(small[0][0] / small[-1][0])
         probe.kink = growth > -0.3

@@ -599,7 +599,7 @@ class _Search:
         )
 
     def _scale_from_f32(self, choices: list[Choice], base: Any) -> None:
-        """Raises the estimates of f64 to what the measured error of f32 says of the gradient."""
+        """Raises the error estimates of f64 to the bound that the measured f32 error implies."""
         plain = next(choice for choice in choices if choice.name == "f32")
         if not math.isfinite(max(plain.errors)):
             version = self._version(plain.modes, self._types(plain.base, {}))

@@ -98,7 +98,7 @@ class SNode:
         return self._add("dynamic", axis, dimension, chunk_size or 0)
 
     def shard(self, axis: Axes) -> SNode:
-        """Divides what is below among the processes of the mesh, by rows along one axis.
+        """Divides the levels below among the processes of the mesh, by rows along one axis.
 
         Args:
             axis: one axis, such as `ti.i`, which one level below divides.
