@@ -25,9 +25,10 @@ extern "C" {
 /// extents and strides in bytes. `element` is the type of a number: the bits of
 /// an integer, or minus the bits of a float; -17 stands for bf16. Dimension
 /// `rows`, if it is not negative, is divided among the ranks. `where` is the
-/// location of the access that needs the exchange, "file:line:col".
+/// location of the access that needs the exchange, "file:line:col"; `kernel` is
+/// the name of the kernel that is launched.
 typedef struct TaiExchange {
-  const char *kind, *field, *where;
+  const char *kind, *field, *kernel, *where;
   int64_t element, digest, block, before, after;
   void *address;
   int64_t num_dims, rows;

@@ -16,14 +16,20 @@ void taiSetMesh(int64_t rank, int64_t ranks, TaiExchangeHandler handler) {
     mesh.rank = rank;
     mesh.ranks = ranks;
     mesh.exchange = [handler](const runtime::Exchange &exchange) {
-      TaiExchange told = {
-          exchange.kind,          exchange.field,
-          exchange.where,         exchange.element,
-          exchange.digest,        exchange.block,
-          exchange.before,        exchange.after,
-          exchange.address,       static_cast<int64_t>(exchange.extents.size()),
-          exchange.rows,          exchange.extents.data(),
-          exchange.strides.data()};
+      TaiExchange told = {exchange.kind,
+                          exchange.field,
+                          exchange.kernel,
+                          exchange.where,
+                          exchange.element,
+                          exchange.digest,
+                          exchange.block,
+                          exchange.before,
+                          exchange.after,
+                          exchange.address,
+                          static_cast<int64_t>(exchange.extents.size()),
+                          exchange.rows,
+                          exchange.extents.data(),
+                          exchange.strides.data()};
       const char *message = handler(&told);
       return std::string(message ? message : "");
     };

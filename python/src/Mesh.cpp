@@ -35,8 +35,8 @@ const char *exchange(const TaiExchange *told) {
   py::gil_scoped_acquire lock;
   try {
     py::handle function = callee;
-    function(told->kind, told->field, told->where, told->element, told->digest,
-             told->block, told->before, told->after,
+    function(told->kind, told->field, told->kernel, told->where, told->element,
+             told->digest, told->block, told->before, told->after,
              reinterpret_cast<uintptr_t>(told->address), told->rows,
              toTuple(told->extents, told->num_dims),
              toTuple(told->strides, told->num_dims));

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ABI/MeshAbi.h"
+#include "tai/Runtime/Launch/Kernel.h"
 #include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/Mesh.h"
 #include <algorithm>
@@ -77,10 +78,20 @@ extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
   if (launch.hasFailed())
     return;
   orFail(frame, [&] {
-    Exchange exchange{kKinds[plan->kind], field,        where,
-                      plan->element,      plan->digest, plan->block,
-                      plan->before,       plan->after,  nullptr,
-                      /*rows=*/-1,        {},           {}};
+    const Kernel *kernel = launch.running.load(std::memory_order_relaxed);
+    Exchange exchange{kKinds[plan->kind],
+                      field,
+                      kernel ? kernel->name().c_str() : "",
+                      where,
+                      plan->element,
+                      plan->digest,
+                      plan->block,
+                      plan->before,
+                      plan->after,
+                      nullptr,
+                      /*rows=*/-1,
+                      {},
+                      {}};
     if (!select(*plan, at, static_cast<char *>(tree), exchange))
       return;
     const Mesh &mesh = ofProcess;

@@ -155,17 +155,78 @@ def different(transport: Any) -> str:
     return "no error"
 
 
+def _failure(run: Any) -> str:
+    try:
+        run()
+    except ti.TaiError as error:
+        return str(error)
+    return "no error"
+
+
 def ending(transport: Any) -> str:
     """Rank 1 ends after the first launch."""
     _, blur = _blur(transport, 1)
     blur()
     if transport.rank == 1:
         os._exit(3)
-    try:
-        blur()
-    except ti.TaiError as error:
-        return str(error)
-    return "no error"
+    return _failure(blur)
+
+
+def hanging(transport: Any) -> tuple[str, str]:
+    """The last rank hangs after the first launch; the others launch again until they fail."""
+    x, blur = _blur(transport, 1)
+    blur()
+    transport.patience = 0.5
+    if transport.rank == transport.size - 1:
+        transport.hang()
+        return "hung", ""
+    for _ in range(transport.size):
+        message = _failure(blur)
+        if message != "no error":
+            break
+    return message, _failure(x.to_numpy)
+
+
+def astray(transport: Any) -> str:
+    """Rank 1 launches another kernel than the others, all of which have run before."""
+    x, blur = _blur(transport, 1)
+    y = ti.field(ti.f32)
+    ti.root.shard(ti.i).dense(ti.i, 12).place(y)
+
+    @ti.kernel
+    def move():
+        for i in range(1, 12):
+            y[i] = x[i - 1] + x[ti.min(i + 1, 11)]
+
+    blur()
+    move()
+    transport.patience = 5
+    return _failure(move if transport.rank == 1 else blur)
+
+
+def alone(transport: Any) -> str:
+    """Rank 0 reads an element, which all ranks must read."""
+    x, blur = _blur(transport, 1)
+    blur()
+    transport.patience = 0.5
+    return _failure((lambda: x[3]) if transport.rank == 0 else blur)
+
+
+def refused(transport: Any, ranks: int, rows: int) -> str:
+    """A mesh of `ranks` ranks that divide a field of `rows` rows."""
+
+    def begin() -> None:
+        ti.init(arch=ti.cpu, mesh=ti.mesh("x", ranks, transport))
+        ti.root.shard(ti.i).dense(ti.i, rows)
+
+    return _failure(begin)
+
+
+def versions(transport: Any) -> str:
+    """Rank 1 has another name for the mesh, as it could have another version of tai."""
+    name = "y" if transport.rank == 1 else "x"
+    mesh = ti.mesh(name, transport.size, transport)
+    return _failure(lambda: ti.init(arch=ti.cpu, mesh=mesh))
 
 
 SCENES = {"wave": wave, "heat": heat, "scatter": scatter}

@@ -16,6 +16,9 @@ class Silent:
     def __init__(self, rank, size):
         self.rank, self.size = rank, size
 
+    def all_gather(self, array):
+        return [array] * self.size
+
 
 @pytest.fixture
 def mesh():
@@ -109,14 +112,57 @@ def test_the_memory_of_a_sharded_field_is_not_shared(mesh):
         np.from_dlpack(x)
 
 
+def test_a_timeout_is_a_time():
+    with pytest.raises(ti.TaiRuntimeTypeError, match="timeout is a number of seconds, but got 0"):
+        ti.mesh("x", 2, timeout=0)
+
+
+def test_each_rank_refuses_a_mesh_of_another_size():
+    for result in rank_pipes.run_ranks(rank_scenes.refused, 2, 3, 6):
+        assert "mesh 'x' has 3 ranks, but 2 processes run" in result
+
+
+def test_each_rank_refuses_rows_that_do_not_divide():
+    for result in rank_pipes.run_ranks(rank_scenes.refused, 2, 2, 7):
+        assert "the 2 ranks of the mesh do not divide the extent 7" in result
+
+
+def test_ranks_that_start_differently_report_it():
+    for result in rank_pipes.run_ranks(rank_scenes.versions, 2):
+        assert f"tai {ti.__version__}" in result and "mesh 'y'" in result
+
+
 def test_ranks_with_different_programs_report_it():
     for result in rank_pipes.run_ranks(rank_scenes.different, 2):
         assert "run different programs" in result and "rank_scenes.py" in result
 
 
-def test_a_rank_that_ends_ends_the_others():
-    first, second, third = rank_pipes.run_ranks(rank_scenes.ending, 3)
-    assert second == "ended with 3"
-    for rank, result in ((0, first), (2, third)):
-        assert f"rank {rank} of 3 lost another rank in the exchange 'fetch' of field 'x'" in result
-        assert "rank_scenes.py" in result
+def test_ranks_that_launch_different_kernels_report_it():
+    for result in rank_pipes.run_ranks(rank_scenes.astray, 2):
+        assert "it sends the rows of another exchange" in result and "rank_scenes.py" in result
+
+
+def test_a_collective_call_on_one_rank_is_an_error():
+    first, second = rank_pipes.run_ranks(rank_scenes.alone, 2)
+    assert "in reading an element of field 'x'" in first
+    assert "in the exchange 'fetch' of field 'x' in the launch of kernel 'blur'" in second
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_a_rank_that_ends_ends_the_others(ranks):
+    results = rank_pipes.run_ranks(rank_scenes.ending, ranks)
+    assert results[1] == "ended with 3"
+    for rank in {*range(ranks)} - {1}:
+        where = "in the exchange 'fetch' of field 'x' in the launch of kernel 'blur"
+        assert f"rank {rank} of {ranks} lost rank 1 {where}" in results[rank]
+        assert "rank_scenes.py" in results[rank]
+
+
+@pytest.mark.parametrize("ranks", [2, 4])
+def test_a_rank_that_hangs_ends_the_others(ranks):
+    *others, last = rank_pipes.run_ranks(rank_scenes.hanging, ranks)
+    assert last == ("hung", "")
+    for launch, later in others:
+        assert f"rank {ranks - 2} of {ranks} lost rank {ranks - 1} in the exchange" in launch
+        assert "rank_scenes.py" in launch
+        assert "the ranks no longer communicate, since rank" in later

@@ -25,7 +25,7 @@ namespace mlir::tai::runtime {
 /// Dimension `rows` of the array is divided among the ranks, unless it is
 /// negative.
 struct Exchange {
-  const char *kind, *field, *where;
+  const char *kind, *field, *kernel, *where;
   int64_t element, digest, block, before, after;
   void *address;
   int64_t rows;

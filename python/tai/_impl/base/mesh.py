@@ -8,21 +8,34 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import os
+import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError
+from . import native
 
 # Types of numbers by the code of `tai-c/Mesh.h`. NumPy has no bf16, of which rows only travel.
 _TYPES = {1: "u1", 8: "i1", 16: "i2", 32: "i4", 64: "i8"}
 _TYPES |= {-16: "f2", -17: "u2", -32: "f4", -64: "f8"}
 
 
+# The bytes of a text that ranks compare when they meet.
+_TEXT = 256
+
+
 class Transport(Protocol):
-    """Communication of a rank with the others, of contiguous NumPy arrays."""
+    """Communication of a rank with the others, of contiguous NumPy arrays.
+
+    A method that fails raises any exception. If this exception has an attribute `rank`, the message
+    names that rank. A transport may also have `fail(text, ranks)`, which tells the other ranks that
+    this one gives up, and returns the texts of those that have told so, by rank; it waits a moment
+    for the texts of `ranks`.
+    """
 
     rank: int
     size: int
@@ -48,81 +61,147 @@ class Mesh:
         rank: the number of this one.
     """
 
-    def __init__(self, name: str, ranks: int, transport: Any = None):
+    def __init__(self, name: str, ranks: int, transport: Any = None, timeout: float = 30):
         if not isinstance(name, str) or not isinstance(ranks, int) or ranks < 1:
             raise TaiRuntimeTypeError(
                 f"a mesh has a name and a number of processes, but got {name!r} and {ranks!r}",
                 'write ti.mesh("x", 4)',
             )
-        self.name, self.ranks, self._given = name, ranks, transport
+        if not isinstance(timeout, (int, float)) or not timeout > 0:
+            raise TaiRuntimeTypeError(f"timeout is a number of seconds, but got {timeout!r}")
+        self.name, self.ranks, self.timeout = name, ranks, float(timeout)
+        self._given = transport
         self._transport: Any = None
         self._known: set[tuple] = set()
+        # The first failure; the ranks cannot communicate after it.
+        self._lost: str | None = None
 
     def connect(self) -> None:
         """Meets the other processes.
 
         Raises:
-            TaiRuntimeError: there are more or fewer of them.
+            TaiRuntimeError: there are more or fewer of them, or they run other versions of tai.
         """
         if self._transport is None:
-            self._transport = self._given or _torch_transport()
+            self._transport = self._given or self._connect_default()
         size = self._transport.size
         if size != self.ranks:
             raise TaiRuntimeError(
-                f"mesh '{self.name}' has {self.ranks} ranks, but {size} processes run",
+                f"mesh '{self.name}' has {self.ranks} ranks, but {_processes(size)}",
                 f"start the program by torchrun --nproc-per-node {self.ranks}",
             )
         self._known.clear()
+        own = f"mesh '{self.name}' of {self.ranks} ranks in tai {native.version()}"
+        line = np.frombuffer(own.encode()[:_TEXT].ljust(_TEXT, b"\0"), np.uint8)
+        found = self.together("its start", lambda: self._transport.all_gather(line))
+        for rank, other in enumerate(found):
+            text = bytes(other).rstrip(b"\0").decode(errors="replace")
+            if bytes(other) != bytes(line):
+                self._give_up(f"rank {self.rank} has {own}, and rank {rank} has {text}")
+
+    def _connect_default(self) -> Any:
+        if self.ranks == 1 and "WORLD_SIZE" not in os.environ:
+            return OneRank()
+        try:
+            ranks = importlib.import_module("tai._impl.base.torch_ranks")
+        except ImportError as error:
+            raise TaiRuntimeError(
+                f"the ranks of a mesh communicate by torch.distributed, which is not there: "
+                f"{error}",
+                "install torch, or pass a transport to ti.mesh",
+            ) from error
+        return ranks.connect(self.name, self.ranks, self.timeout)
 
     @property
     def rank(self) -> int:
         """The number of this process."""
         return int(self._transport.rank)
 
-    # Exchanges of kernels
+    # Failures
 
-    def exchange(
-        self, kind: str, field: str, where: str, element: int, digest: int, block: int,
-        before: int, after: int, address: int, rows: int, extents: tuple, strides: tuple,
-    ) -> None:  # fmt: skip
-        """Carries out an exchange of a kernel; `TaiExchange` of tai-c/Mesh.h has the parameters."""
-        plan = (kind, field, element, digest, block, before, after, rows, extents, strides)
+    def together(self, action: str, run: Callable[[], Any]) -> Any:
+        """Communicates with the other ranks.
+
+        Args:
+            action: the subject of the communication, for messages.
+
+        Raises:
+            TaiRuntimeError: it failed, or an earlier communication did.
+        """
+        if self._lost is not None:
+            raise TaiRuntimeError(f"the ranks no longer communicate, since {self._lost}")
         try:
-            if plan not in self._known:
-                self._compare(plan, where)
-                self._known.add(plan)
-            view = _view(address, np.dtype(_TYPES[element]), extents, strides)
-            if rows >= 0:
-                self._exchange_rows(kind, np.moveaxis(view, rows, 0), block, before, after)
-            elif kind == "open":
-                if self.rank:
-                    view[...] = 0
-            else:
-                total = np.array(view)
-                self._transport.all_reduce(total, kind)
-                view[...] = total
+            return run()
         except TaiRuntimeError:
             raise
         except Exception as error:
-            raise TaiRuntimeError(
-                f"rank {self.rank} of {self.ranks} lost another rank in the exchange '{kind}' of "
-                f"field '{field}': {error}"
-            ) from error
+            peer = getattr(error, "rank", None)
+            name = "other ranks" if peer is None else f"rank {peer}"
+            reason = " ".join(str(error).split()) or type(error).__name__
+            text = f"rank {self.rank} of {self.ranks} lost {name} in {action}: {reason}"
+            raise TaiRuntimeError(self._note(text, peer)) from error
 
-    def _compare(self, plan: tuple, where: str) -> None:
+    def _give_up(self, text: str) -> None:
+        """Ends the communication with the other ranks with an error that all of them find."""
+        raise TaiRuntimeError(self._note(text, self.rank))
+
+    def _note(self, text: str, peer: int | None) -> str:
+        """Tells the others of a failure; returns the message with those of the others."""
+        fail = getattr(self._transport, "fail", None)
+        if fail is not None:
+            others = [rank for rank in range(self.ranks) if rank != self.rank]
+            told = fail(text, others if peer is None else [peer] if peer in others else [])
+            silent = [str(rank) for rank in others if rank not in told]
+            if peer is None and silent:
+                text += f"; no word from rank{'s' if silent[1:] else ''} {', '.join(silent)}"
+            cause = _first_cause(told, min(told, default=None) if peer is None else peer)
+            text += f"; {cause}" if cause else ""
+        self._lost = text
+        return text
+
+    # Exchanges of kernels
+
+    def exchange(
+        self, kind: str, field: str, kernel: str, where: str, element: int, digest: int,
+        block: int, before: int, after: int, address: int, rows: int, extents: tuple,
+        strides: tuple,
+    ) -> None:  # fmt: skip
+        """Carries out an exchange of a kernel; `TaiExchange` of tai-c/Mesh.h has the parameters."""
+        plan = (kind, field, element, digest, block, before, after, rows, extents, strides)
+        view = _view(address, np.dtype(_TYPES[element]), extents, strides)
+        action = f"the exchange '{kind}' of field '{field}' in the launch of kernel '{kernel}'"
+        if plan not in self._known:
+            self._compare(plan, action, where)
+            self._known.add(plan)
+        if rows >= 0:
+            rows_first = np.moveaxis(view, rows, 0)
+            self.together(
+                action, lambda: self._exchange_rows(plan, rows_first, block, before, after)
+            )
+        elif kind == "open":
+            if self.rank:
+                view[...] = 0
+        else:
+            total = np.array(view)
+            self.together(action, lambda: self._transport.all_reduce(total, kind))
+            view[...] = total
+
+    def _compare(self, plan: tuple, action: str, where: str) -> None:
         """Before the first exchange of a plan: all ranks have the same one."""
-        own = np.array([plan[3], zlib.crc32(repr(plan).encode())], np.int64)
-        for rank, other in enumerate(self._transport.all_gather(own)):
+        own = np.array([plan[3], _hash(plan)], np.int64)
+        found = self.together(action, lambda: self._transport.all_gather(own))
+        for rank, other in enumerate(found):
             if not np.array_equal(own, other):
-                raise TaiRuntimeError(
+                self._give_up(
                     f"rank {self.rank} and rank {rank} run different programs: they meet in "
-                    f"different exchanges, here '{plan[0]}' of field '{plan[1]}' at {where}"
+                    f"different exchanges, here {action} at {where}"
                 )
 
     def _exchange_rows(
-        self, kind: str, view: np.ndarray, block: int, before: int, after: int
+        self, plan: tuple, view: np.ndarray, block: int, before: int, after: int
     ) -> None:
         """Fetches, clears or collects halos; the rows are the first dimension."""
+        kind = plan[0]
         rank, last = self.rank, self.ranks - 1
         low, high = rank * block, (rank + 1) * block
         # Halos of this rank, and its rows that are halos of others, with the other rank.
@@ -140,36 +219,66 @@ class Mesh:
                 rows[...] = 0
             return
         out, into = (owned, halos) if kind == "fetch" else (halos, owned)
-        received = [(peer, np.empty(rows.shape, rows.dtype)) for peer, rows in into]
-        self._transport.swap([(peer, np.ascontiguousarray(rows)) for peer, rows in out], received)
-        for (_, rows), (_, got) in zip(into, received, strict=True):
+        # A message begins with a hash of its plan: the peer may be in another exchange.
+        head = np.array([_hash(plan)], np.int64).view(np.uint8)
+        sends = [(peer, np.concatenate([head, _bytes(rows)])) for peer, rows in out]
+        received = [(peer, np.empty(8 + rows.size * rows.itemsize, np.uint8))
+                    for peer, rows in into]  # fmt: skip
+        self._transport.swap(sends, received)
+        for (peer, rows), (_, got) in zip(into, received, strict=True):
+            if not np.array_equal(got[:8], head):
+                error = RuntimeError("it sends the rows of another exchange")
+                error.rank = peer  # type: ignore[attr-defined]
+                raise error
+            values = got[8:].view(rows.dtype).reshape(rows.shape)
             if kind == "fetch":
-                rows[...] = got
+                rows[...] = values
             else:
-                rows += got
+                rows += values
 
     # Accesses of the host
 
-    def gather_rows(self, array: np.ndarray, axis: int) -> None:
+    def gather_rows(self, array: np.ndarray, axis: int, field: str) -> None:
         """Fills the rows of other ranks in an array of the whole field."""
         rows = np.moveaxis(array, axis, 0)
         block = len(rows) // self.ranks
         own = np.ascontiguousarray(rows[self.rank * block : (self.rank + 1) * block])
-        for rank, other in enumerate(self._transport.all_gather(own)):
+        found = self.together(
+            f"reading all of field '{field}'", lambda: self._transport.all_gather(own)
+        )
+        for rank, other in enumerate(found):
             rows[rank * block : (rank + 1) * block] = other
 
-    def from_owner(self, row: int, extent: int, values: Any) -> Any:
+    def from_owner(self, row: int, extent: int, values: Any, field: str) -> Any:
         """The numbers that the owner of a row has."""
         array = np.array(values)
         owner = row // (extent // self.ranks)
-        got = self._transport.all_gather(array)[owner]
-        return got.tolist()
+        found = self.together(
+            f"reading an element of field '{field}'", lambda: self._transport.all_gather(array)
+        )
+        return found[owner].tolist()
 
     def __repr__(self) -> str:
         return f"ti.mesh({self.name!r}, {self.ranks})"
 
 
-def mesh(name: str, ranks: int, transport: Any = None) -> Mesh:
+class OneRank:
+    """The transport of a mesh of one process."""
+
+    rank, size = 0, 1
+
+    def swap(self, sends: Any, receives: Any) -> None:
+        """There are no other ranks."""
+
+    def all_reduce(self, array: np.ndarray, kind: str) -> None:
+        """The numbers are those of all ranks."""
+
+    def all_gather(self, array: np.ndarray) -> list[np.ndarray]:
+        """The array of the only rank."""
+        return [array]
+
+
+def mesh(name: str, ranks: int, transport: Any = None, timeout: float = 30) -> Mesh:
     """A mesh of processes for `ti.init(mesh=…)`, along one axis.
 
     Each process runs the same program. Fields below `ti.root.shard(ti.i)` are divided among them;
@@ -180,18 +289,34 @@ def mesh(name: str, ranks: int, transport: Any = None) -> Mesh:
         ranks: the number of processes.
         transport: how they communicate; torch.distributed with gloo by default, as `torchrun`
             starts it.
+        timeout: the seconds after which a rank gives up on one that does not answer, with
+            torch.distributed.
     """
-    return Mesh(name, ranks, transport)
+    return Mesh(name, ranks, transport, timeout)
 
 
-def _torch_transport() -> Any:
-    try:
-        return importlib.import_module("tai._impl.base.torch_ranks").TorchRanks()
-    except ImportError as error:
-        raise TaiRuntimeError(
-            f"the ranks of a mesh communicate by torch.distributed, which is not there: {error}",
-            "install torch, or pass a transport to ti.mesh",
-        ) from error
+def _processes(count: int) -> str:
+    return "1 process runs" if count == 1 else f"{count} processes run"
+
+
+def _first_cause(told: dict[int, str], rank: int | None) -> str:
+    """From the text of a rank that has given up, the one that begins the chain of lost ranks."""
+    cause, seen = "", set()
+    while rank in told and rank not in seen:
+        seen.add(rank)
+        cause = told[rank]
+        lost = re.search(r" lost rank (\d+) ", cause)
+        rank = int(lost[1]) if lost else None
+    return cause
+
+
+def _hash(plan: tuple) -> int:
+    return zlib.crc32(repr(plan).encode())
+
+
+def _bytes(rows: np.ndarray) -> np.ndarray:
+    """A copy of an array's memory."""
+    return np.ascontiguousarray(rows).reshape(-1).view(np.uint8)
 
 
 def _view(address: int, dtype: np.dtype, extents: tuple, strides: tuple) -> np.ndarray:

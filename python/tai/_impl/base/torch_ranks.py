@@ -3,36 +3,55 @@
 from __future__ import annotations
 
 import datetime
+import os
+import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 import torch.distributed as dist
 
-# The seconds after which a rank that does not answer ends the others.
-TIMEOUT = 30
+from ...errors import TaiRuntimeError
+
+# The seconds in which other ranks may tell that they give up, too.
+GRACE = 2.0
 
 _OPS = {"sum": dist.ReduceOp.SUM, "min": dist.ReduceOp.MIN, "max": dist.ReduceOp.MAX}
 
 
-class TorchRanks:
-    """The default process group; gloo, started from the variables that torchrun sets."""
+class LostRank(Exception):
+    """A rank that does not answer."""
 
-    def __init__(self) -> None:
-        if not dist.is_initialized():
-            timeout = datetime.timedelta(seconds=TIMEOUT)
-            dist.init_process_group("gloo", timeout=timeout)
+    def __init__(self, rank: int, reason: str):
+        super().__init__(reason)
+        self.rank = rank
+
+
+class TorchRanks:
+    """The default process group, with the store of its start."""
+
+    def __init__(self, store: Any, timeout: float) -> None:
+        self._store, self._grace = store, min(GRACE, timeout / 4)
         self.rank, self.size = dist.get_rank(), dist.get_world_size()
 
     def swap(
         self, sends: Sequence[tuple[int, np.ndarray]], receives: Sequence[tuple[int, np.ndarray]]
     ) -> None:
         """Sends arrays to ranks and fills arrays with those of ranks."""
-        operations = [dist.P2POp(dist.isend, _bytes(array), peer) for peer, array in sends]
-        operations += [dist.P2POp(dist.irecv, _bytes(array), peer) for peer, array in receives]
-        if operations:
-            for work in dist.batch_isend_irecv(operations):
+        jobs = [(peer, dist.isend, array) for peer, array in sends]
+        jobs += [(peer, dist.irecv, array) for peer, array in receives]
+        begun = []
+        for peer, begin, array in jobs:
+            try:
+                begun.append((peer, begin(_bytes(array), peer)))
+            except RuntimeError as error:
+                raise LostRank(peer, str(error)) from error
+        for peer, work in begun:
+            try:
                 work.wait()
+            except RuntimeError as error:
+                raise LostRank(peer, str(error)) from error
 
     def all_reduce(self, array: np.ndarray, kind: str) -> None:
         """Replaces the numbers by their sum, minimum or maximum over all ranks."""
@@ -44,8 +63,78 @@ class TorchRanks:
     def all_gather(self, array: np.ndarray) -> list[np.ndarray]:
         """The arrays of all ranks, which have one shape."""
         found = [np.empty(array.shape, array.dtype) for _ in range(self.size)]
-        dist.all_gather([_bytes(each) for each in found], _bytes(np.ascontiguousarray(array)))
+        dist.all_gather([_bytes(each) for each in found], _bytes(np.array(array, order="C")))
         return found
+
+    def fail(self, text: str, ranks: Sequence[int]) -> dict[int, str]:
+        """Tells the other ranks that this one gives up; returns the texts of those that do."""
+        told: dict[int, str] = {}
+        end = time.monotonic() + self._grace
+        try:
+            self._store.set(f"tai/failed/{self.rank}", text)
+            while True:
+                for rank in range(self.size):
+                    key = f"tai/failed/{rank}"
+                    if rank != self.rank and rank not in told and self._store.check([key]):
+                        told[rank] = self._store.get(key).decode()
+                if all(rank in told for rank in ranks) or time.monotonic() > end:
+                    return told
+                time.sleep(0.05)
+        except (RuntimeError, AttributeError):
+            return told  # The process that serves the store has ended.
+
+
+def connect(name: str, ranks: int, timeout: float) -> TorchRanks:
+    """Joins the process group, or that of the program; gloo, with the variables of torchrun.
+
+    Raises:
+        TaiRuntimeError: the variables are not set, or other ranks do not arrive in time.
+    """
+    wait = datetime.timedelta(seconds=timeout)
+    if dist.is_initialized():
+        return TorchRanks(_store_of_group(), timeout)
+    start = f"start the program by torchrun --nproc-per-node {ranks}"
+    try:
+        own, size = int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])
+        host = f"{os.environ['MASTER_ADDR']}:{os.environ['MASTER_PORT']}"
+    except (KeyError, ValueError) as error:
+        raise TaiRuntimeError(
+            f"mesh '{name}' has {ranks} ranks, but this process runs alone: there is no {error} in "
+            "its environment",
+            start,
+        ) from None
+    if size != ranks:
+        processes = "1 process runs" if size == 1 else f"{size} processes run"
+        raise TaiRuntimeError(f"mesh '{name}' has {ranks} ranks, but {processes}", start)
+    store = None
+    try:
+        store = next(iter(dist.rendezvous("env://", timeout=wait)))[0]
+        store.set(f"tai/here/{own}", "1")
+        dist.init_process_group("gloo", store=store, rank=own, world_size=size, timeout=wait)
+    except (RuntimeError, ValueError, OSError) as error:
+        missing = _missing(store, size)
+        problem = f"no {missing} arrived" if missing else f"{host} does not answer"
+        raise TaiRuntimeError(
+            f"rank {own} of {ranks} waited {timeout:g} s for the mesh '{name}', and {problem}",
+            "do all processes run the program, with the same MASTER_ADDR and MASTER_PORT?",
+        ) from error
+    return TorchRanks(store, timeout)
+
+
+def _missing(store: Any, size: int) -> str:
+    """The ranks that have not arrived at a store, or nothing if it cannot be asked."""
+    if store is None:
+        return ""
+    try:
+        absent = [n for n in range(size) if not store.check([f"tai/here/{n}"])]
+    except RuntimeError:
+        return ""
+    return "rank " + " and no rank ".join(map(str, absent[:4])) if absent else ""
+
+
+def _store_of_group() -> Any:
+    """The store of the program's process group, if torch still calls it so."""
+    return getattr(dist.distributed_c10d, "_get_default_store", lambda: None)()
 
 
 def _bytes(array: np.ndarray) -> torch.Tensor:

@@ -193,7 +193,7 @@ class ScalarField(Field):
         mesh, dimension = self._sharded
         first = self.offset[dimension] if self.offset else 0
         row = int(index_tuple(key)[dimension]) - first
-        return mesh.from_owner(row, self.shape[dimension], values)
+        return mesh.from_owner(row, self.shape[dimension], values, self.name)
 
     def __setitem__(self, key: Any, value: Any) -> None:
         self.set_component(key, 0, value)
@@ -245,7 +245,7 @@ class ScalarField(Field):
         core.copy_to(array)
         if self._sharded is not None:
             mesh, dimension = self._sharded
-            mesh.gather_rows(array, dimension)
+            mesh.gather_rows(array, dimension, self.name)
         wanted = None if dtype is None else dtypes.to_dtype(dtype)
         return array if wanted is None else pieces.row_major(array, wanted.numpy)
 
