@@ -96,6 +96,9 @@ class Version(native.WithBlock):
         writes: lines about arrays of the caller that they write to.
         seconds: the least time of an iteration.
         tolerances: the factor by which the tolerances of solvers are multiplied.
+        checkpoint: the arguments of its tapes that say which values they keep.
+        memory: the most bytes that its last tape has kept.
+        most_saved: a bound of the bytes that a tape keeps if it saves all values; 0 if unknown.
     """
 
     def __init__(
@@ -117,6 +120,8 @@ class Version(native.WithBlock):
         self.places: dict[int, Any] = {}
         self.writes: list[str] = []
         self.tolerances = 1.0
+        self.checkpoint: dict[str, Any] = {}
+        self.memory = self.most_saved = 0
         self.seconds = math.inf
         self._is_on = False
 
@@ -131,6 +136,12 @@ class Version(native.WithBlock):
         for spec in kernel.specs:
             if spec.kind == "array" and kernel.uses_of(spec)[1]:
                 self.writes.append(name)
+
+    def note_memory(self, tape: Any) -> None:
+        """Notes the memory of a tape; no launch saves more than a snapshot holds."""
+        stats = tape.stats()
+        self.memory = stats.peak_bytes
+        self.most_saved = tape.num_records * stats.snapshot_bytes
 
     def _enter(self) -> Version:
         for twin in self.twins:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from ...errors import TaiRuntimeTypeError, shorten
+from ...errors import TaiGradientWarning, TaiRuntimeTypeError, shorten
+from ..base.callers import calling_level
 from .precision import PrecisionReport
 
 
@@ -40,7 +42,8 @@ class Solution:
 
     Attributes:
         modes: the choice: `precision`, `sums` and `math` as in `ti.init`, `types` of fields by name
-            where they differ from the program's own, `steps` and `tol` where `run` takes them.
+            where they differ from the program's own; `tape`: "everything" or "snapshots", the
+            values that the tape keeps; `steps` and `tol` where `run` takes them.
         error: the relative error that is expected, at most the one that was asked for: the sum of
             the parts.
         parts: the causes, each with the lines that it comes from.
@@ -54,6 +57,7 @@ class Solution:
         notes: remarks, such as that the fields cannot hold the digits that were asked for.
         room: why the error is below 0.05 times the one that was asked for, where it is: the modes
             that have more error, and their times. Otherwise empty.
+        memory: the most bytes that the tape keeps at any time.
     """
 
     modes: dict[str, Any]
@@ -68,6 +72,7 @@ class Solution:
     tried: list[str]
     notes: list[str]
     room: str = ""
+    memory: int = 0
     _again: Callable[[], None] = field(repr=False, default=lambda: None)
 
     def run(self) -> None:
@@ -89,11 +94,27 @@ class Solution:
             f"solve_to: {shown}",
             f"  {self.error:8.1e}  expected, {self.asked:.0e} allowed; "
             f"{1e3 * self.time:.3g} ms for an iteration ({1e3 * self.reference_time:.3g} ms in the "
-            f"reference), chosen by {self.iterations} iterations",
+            f"reference), chosen by {self.iterations} iterations; the tape keeps "
+            f"{self.memory / 2**20:.3g} MiB",
         ]
         notes = [f"  note: {n}" for n in self.notes]
         notes += [f"  room: {self.room}"] if self.room else []
         return "\n".join([*lines, *map(str, self.parts), *notes])
+
+
+def find_short_fields(loss: Any, unknowns: list[Any], error: float) -> list[str]:
+    """Warns of fields whose type cannot hold as many digits as were asked for, and lists them."""
+    units = {16: 2.0**-9, 32: 2.0**-24, 64: 0.0}
+    results = [loss, *(f._companions["grad"] for f in unknowns)]
+    short = [f for f in results if units[f.dtype.bits] > error / 2]
+    if not short:
+        return []
+    text = (
+        f"'{short[0].name}' is of {short[0].dtype}, which cannot hold an error of {error:.1e}: "
+        "`loss` and `gradients` of the result have all digits"
+    )
+    warnings.warn(f"ti.solve_to: {text}", TaiGradientWarning, stacklevel=calling_level())
+    return [text]
 
 
 def options_of(run: Callable[..., Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from ...errors import (
     TaiRuntimeTypeError,
 )
 from ..base import dtypes, state
-from ..base.callers import calling_frame, calling_level
+from ..base.callers import calling_frame
 from ..base.keywords import check_keywords
 from ..base.program import get_program, sync
 from .choices import (
@@ -36,15 +36,19 @@ from .choices import (
     Choice,
     apart,
     bytes_in,
+    explain_slopes,
     others_of,
     rounding_of,
+    scale_of,
 )  # fmt: skip
 from .compare import as_fields
+from .density import choose_density
+from .memory import parse_checkpoint
 from .precision import PrecisionReport, find_not_finite, owner_of
 from .retype import Version, can_change
 from .seeds import number_of, require_grad
 from .snapshot import Snapshot
-from .solution import Part, Solution, options_of, place_of, worst_of
+from .solution import Part, Solution, find_short_fields, options_of, place_of, worst_of
 from .tape import Tape
 from .tuning import Types, distance, is_named, made_by, parts_among, unknowns_of
 
@@ -52,8 +56,9 @@ from .tuning import Types, distance, is_named, made_by, parts_among, unknowns_of
 MOST_ITERATIONS = 20
 # Modes whose time is within this factor of the fastest are timed again. The second number:
 # iterations that are reserved for checks of the choice.
-_NEAR, _LAST_CHECKS = 1.5, 5
-# The factor by which times of programs with 16-bit fields count more than those of others.
+_NEAR, _LAST_CHECKS = 3.0, 5
+# The factor by which times of programs with 16-bit fields count more than those of others, and
+# times of f64 more than those of f32.
 _DOUBT = 1.15
 # A mode that takes at most this many times as long is preferred if its fields take fewer bytes.
 _TIE = 1.05
@@ -80,7 +85,7 @@ class _TooManyRuns(TaiAutodiffError):
 
 def solve_to(
     run: Callable[..., Any], loss: Any = None, wrt: Any = None, error: float = 1e-4,
-    verbose: bool = False,
+    verbose: bool = False, memory_budget: int | None = None,
 ) -> Solution:  # fmt: skip
     """Computes a loss and its gradient to a relative error, in the cheapest way that keeps it.
 
@@ -92,7 +97,8 @@ def solve_to(
     Types of fields, arithmetic, the form of sums and the math library are chosen by the estimates
     of one reverse sweep, and the choice is compared with a run in f64. A parameter `steps` of `run`
     is a number of time steps, which is chosen by runs with other numbers of steps, and a parameter
-    `tol` a tolerance of solvers; the default of `steps` is where the search begins.
+    `tol` a tolerance of solvers; the default of `steps` is where the search begins. Whether the
+    tape saves all values or keeps snapshots is chosen by time and memory.
 
     Args:
         run: a function that launches kernels on the existing fields; or, without a loss, a function
@@ -102,6 +108,8 @@ def solve_to(
             out. Their names, if `run` makes the program.
         error: the greatest relative error of the loss, and of the gradient (L2).
         verbose: print the result.
+        memory_budget: the most bytes that the tape of the choice keeps, as for `ti.ad.Tape`; the
+            reference in f64 may keep twice as many.
 
     Returns:
         The choice with its error, parts and time. The fields are as before, but for the loss
@@ -126,12 +134,14 @@ def solve_to(
         wrt = None
     elif wrt is not None and not isinstance(wrt, (list, tuple)):
         wrt = [wrt]
+    if memory_budget is not None:
+        parse_checkpoint(None, memory_budget)
     wanted = as_fields(wrt, "wrt") if wrt is not None else None
     as_fields([loss], "loss")
     for f in (loss, *(wanted or ())):
         require_grad(f, inspect.currentframe())
     try:
-        found = _Search(run, loss, wanted, names, float(error)).result()
+        found = _Search(run, loss, wanted, names, float(error), memory_budget).result()
     except TaiAutodiffError as failure:
         if failure.filename is None:
             frame = calling_frame()
@@ -146,9 +156,11 @@ def solve_to(
 class _Search:
     """The state and measurements of one call of `ti.solve_to`."""
 
-    def __init__(self, run: Any, loss: Any, wrt: Any, names: Any, error: float):
+    def __init__(
+        self, run: Any, loss: Any, wrt: Any, names: Any, error: float, budget: int | None = None
+    ):
         self._run, self._loss, self._wrt, self._error = run, loss, wrt, error
-        self._names = names
+        self._names, self._budget, self._density = names, budget, ""
         self._options = options_of(run)
         self._start = Snapshot()
         self._versions: list[Version] = []
@@ -163,6 +175,9 @@ class _Search:
 
     def _version(self, modes: dict[str, Any], types: Any = (), is_plain: bool = False) -> Version:
         made = Version(modes, types, is_plain)
+        if self._budget is not None:
+            wider = 2 if modes.get("precision") == "f64" else 1
+            made.checkpoint = {"memory_budget": wider * self._budget}
         self._versions.append(made)
         return made
 
@@ -183,10 +198,11 @@ class _Search:
             sync()
             begin = time.perf_counter()
             report = None
-            with Tape(self._loss, precision=precision) as tape:
+            with Tape(self._loss, precision=precision, **version.checkpoint) as tape:
                 self._run(**{**self._options, **options})
             sync()
             seconds = time.perf_counter() - begin
+            version.note_memory(tape)
             if not precision and change is None and options == {}:
                 version.seconds = min(version.seconds, seconds)
             if precision:
@@ -196,6 +212,13 @@ class _Search:
             ]
             gradient = np.concatenate(gradients) if gradients else np.zeros(0)
             return float(number_of(self._loss)), gradient, seconds, report
+
+    @property
+    def iterations_left(self) -> int:
+        return int(MOST_ITERATIONS - self._iterations)
+
+    def measure(self, version: Version) -> tuple[float, np.ndarray]:
+        return self._measure(version)[:2]
 
     # Phases
 
@@ -221,6 +244,7 @@ class _Search:
                 self._name_solves(parts, report)
             room = self._error - sum(part.error for part in parts)
             chosen = self._choose(reference, base, report, room)
+            self._density = choose_density(self, chosen, base, room, self._budget)
             parts.append(rounding_of(chosen, report))
             return self._finish(chosen, base, parts)
         finally:
@@ -327,7 +351,7 @@ class _Search:
         def change() -> None:
             for f, step in zip(self._unknowns, steps, strict=True):
                 array = Snapshot._take(f)
-                moved = array + step * _scale_of(array)
+                moved = array + step * scale_of(array)
                 f.core.copy_from(np.ascontiguousarray(moved, array.dtype))
 
         return change
@@ -337,13 +361,15 @@ class _Search:
         arrays = self._split(base[1])
         self._start.restore()
         slope = sum(
-            float(np.sum(np.abs(g) * _scale_of(Snapshot._take(f))))
+            float(np.sum(np.abs(g) * scale_of(Snapshot._take(f))))
             for f, g in zip(self._unknowns, arrays, strict=True)
         )
+        sides: list[tuple[float, float]] = []
 
         def difference(h: float) -> float:
             moved = [self._perturb([size * np.sign(g) for g in arrays]) for size in (h, -h)]
             above, below = (self._measure(reference, change)[0] for change in moved)
+            sides.append(((above - base[0]) / h, (base[0] - below) / h))
             return (above - below) / (2 * h)
 
         def is_right(found: float, h: float) -> bool:
@@ -351,24 +377,11 @@ class _Search:
             return abs(found - slope) <= max(self._error / 2, 1e-4) * slope + noise
 
         h = 1e-5
-        found = difference(h)
-        if is_right(found, h):
+        if is_right(difference(h), h):
             return
-        closer = difference(h / 16)
-        if is_right(closer, h / 16):
+        if is_right(difference(h / 16), h / 16):
             return
-        if abs(closer) > 4 * abs(found):
-            _refuse(
-                f"the loss jumps within {h:.0e} of the point: differences of it grow as their "
-                f"step shrinks, from {found:.3g} to {closer:.3g}, and no derivative foretells that",
-                "move the point, or smooth the condition; ti.ad.check shows the slopes",
-            )
-        _refuse(
-            f"along its gradient the loss grows by {found:.3g}, but the gradient says {slope:.3g}: "
-            "either a part of the program is outside of kernels (host code, other frameworks), "
-            "where no estimate sees it, or a kink is near by, or kernels pass numbers on as ti.f32",
-            "compute it in kernels; write float for ti.f32 in signatures; ti.ad.check finds kinks",
-        )
+        _refuse(*explain_slopes(sides, (h, h / 16), slope))
 
     def _measure_solvers(self, reference: Version, base: Any, report: PrecisionReport) -> Part:
         """Measures the effect of the program's solver tolerances, by a run with smaller ones."""
@@ -459,12 +472,12 @@ class _Search:
                 "jump",
                 "begin with more steps, or over a shorter time",
             )
-        wanted = max(1, math.ceil(n * (SAFETY * off / room / 1.6) ** (1 / order)))
+        at, wanted = n, max(1, math.ceil(n * (SAFETY * off / room / 1.6) ** (1 / order)))
         for _ in range(3):
             if wanted > _MOST_REFINED * first:
                 _refuse(
                     f"error={self._error:.1e} would take about {wanted} steps (order {order:.1f}, "
-                    f"{off:.1e} with {n})",
+                    f"{off:.1e} with {at})",
                     "begin with more steps: the default of `steps`; or a method of higher order",
                 )
             here = results[wanted] = results.get(wanted) or self._at_steps(reference, wanted)
@@ -474,7 +487,7 @@ class _Search:
             off = max(apart(here, double, double)) / (1 - 2.0**-order)
             if off <= room:
                 break
-            wanted = math.ceil(wanted * max((1.2 * off / room) ** (1 / order), 1.1))
+            at, wanted = wanted, math.ceil(wanted * max((1.2 * off / room) ** (1 / order), 1.1))
         else:
             _refuse(f"error={self._error:.1e} is not reached by {wanted} steps ({off:.1e})",
                     "begin with more steps: the default of `steps`")  # fmt: skip
@@ -560,6 +573,12 @@ class _Search:
         passed: list[Choice] = []
         for choice in hopeful:
             if passed and choice.base is dtypes.f64:
+                # The code of f64 exists. It may be faster: a solver converges in fewer iterations.
+                if choice.modes == reference.modes and self._iterations < MOST_ITERATIONS - 6:
+                    reference.seconds = math.inf
+                    self._scale_from_f32(choices, base)
+                    if self._try(choice, reference, base, room):
+                        passed.append(choice)
                 break
             # Compensated sums cost more than plain sums, which have passed already.
             if choice.name == "f32, compensated sums" and any(c.name == "f32" for c in passed):
@@ -576,7 +595,8 @@ class _Search:
         self._time_again(passed)
         while passed:
             # Conversions from 16 bits cost time on a CPU, so a mode with them must be much faster.
-            costs = {c.name: c.seconds * (_DOUBT if c.narrow else 1.0) for c in passed}
+            doubtful = {c.name for c in passed if c.narrow or c.base is dtypes.f64}
+            costs = {c.name: c.seconds * (_DOUBT if c.name in doubtful else 1) for c in passed}
             near = [c for c in passed if costs[c.name] <= _TIE * min(costs.values())]
             best = min(near, key=lambda choice: (choice.bytes, len(choice.name), choice.seconds))
             trouble = self._find_trouble(reference, base, best, room)
@@ -715,17 +735,13 @@ class _Search:
             for f, dtype in self._types(chosen.base, chosen.narrow)
             if dtype is not own[owner_of(f).name]
         }
-        modes = {
-            "precision": chosen.modes["precision"],
-            "sums": chosen.modes.get("sums", "default"),
-            "math": chosen.modes.get("math", "default"),
-            "types": types,
-            **self._options,
-        }
+        words = {word: chosen.modes.get(word, "default") for word in ("precision", "sums", "math")}
+        modes = {**words, "types": types, "tape": self._density, **self._options}
+        notes = find_short_fields(self._loss, self._unknowns, self._error)
         return Solution(
             modes, total, parts, chosen.seconds, self._error, loss, self._by_field(gradient),
-            self._iterations, self._reference_time, self._tried, self._notes(),
-            self._room(chosen, total), lambda: self._again(chosen.version),
+            self._iterations, self._reference_time, self._tried, notes,
+            self._room(chosen, total), chosen.version.memory, lambda: self._again(chosen.version),
         )  # fmt: skip
 
     def _room(self, chosen: Choice, total: float) -> str:
@@ -734,20 +750,6 @@ class _Search:
             return ""
         text = f"{chosen.name} already gives {total:.1e}, and no cheaper mode keeps the error"
         return f"{text}: {'; '.join(self._others)}" if self._others else text
-
-    def _notes(self) -> list[str]:
-        """Lists the fields whose type cannot hold as many digits as were asked for."""
-        units = {16: 2.0**-9, 32: 2.0**-24, 64: 0.0}
-        results = [self._loss, *(f._companions["grad"] for f in self._unknowns)]
-        short = [f for f in results if units[f.dtype.bits] > self._error / 2]
-        if not short:
-            return []
-        text = (
-            f"'{short[0].name}' is of {short[0].dtype}, which cannot hold an error of "
-            f"{self._error:.1e}: `loss` and `gradients` of the result have all digits"
-        )
-        warnings.warn(f"ti.solve_to: {text}", TaiGradientWarning, stacklevel=calling_level())
-        return [text]
 
     def _split(self, gradient: np.ndarray) -> list[np.ndarray]:
         arrays, at = [], 0
@@ -779,15 +781,9 @@ class _Search:
             grad.core.copy_from(np.ascontiguousarray(array, grad.dtype.numpy))
 
     def _again(self, version: Version) -> None:
-        with version, Tape(self._loss):
+        with version, Tape(self._loss, **version.checkpoint):
             self._run(**self._options)
         version.copy_out()
-
-
-def _scale_of(array: np.ndarray) -> np.ndarray:
-    """The magnitude of each element, but at least the average magnitude of all elements."""
-    size = np.abs(array.astype(float))
-    return np.maximum(size, float(np.mean(size)) or 1.0)
 
 
 def _refuse(message: str, hint: str) -> NoReturn:
