@@ -5,7 +5,8 @@ ti.checkpoint.save("run.npz", x=x, v=v, particles=particles)
 ti.checkpoint.load("run.npz", x=x, v=v, particles=particles)
 ```
 
-A file is whole at any time: it is written under another name and then renamed.
+A file is whole at any time: it is written under another name and then renamed. The ranks of a mesh
+save and load together: each writes a file with its rows of sharded fields beside the main file.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from ._impl.base.program import get_program
 from ._impl.fields.arrays import Ndarray
 from ._impl.fields.field import Field
 from ._impl.fields.root import materialize
+from ._impl.fields.shard_files import load_shards, mesh_of_program, on_all, rows_for, save_shards
+from ._impl.fields.shard_rows import put_rows, sharding_of
 from ._impl.fields.structs import StructField
 from .errors import TaiRuntimeError, TaiRuntimeTypeError
 
@@ -123,6 +126,25 @@ def restore(
         TaiRuntimeError: a field without an array, or an array without a field.
         TaiRuntimeTypeError: an array of another shape or kind of numbers.
     """
+    mesh = mesh_of_program()
+
+    def check() -> list[tuple[str, Any, np.ndarray]]:
+        return _match(arrays, fields, strict, named)
+
+    # On a mesh, all ranks restore, or none.
+    pairs = check() if mesh is None else on_all(mesh, "restoring a checkpoint", check)
+    for _, thing, array in pairs:
+        if sharding_of(thing) is None:
+            thing.from_numpy(array)
+        else:
+            put_rows(thing, array)
+    return [name for name, _, _ in pairs]
+
+
+def _match(
+    arrays: Mapping[str, Any], fields: Any, strict: bool, named: Mapping[str, Any]
+) -> list[tuple[str, Any, np.ndarray]]:
+    """The fields that are restored, by name, with their numbers, or this rank's rows of them."""
     has_gradients = any(name.endswith(".grad") for name in arrays)
     found = _collect(fields, named, has_gradients)
     if has_gradients:  # of some fields only
@@ -137,7 +159,7 @@ def restore(
             f"the checkpoint {problem}; it holds {names}",
             "name the fields as they were saved, or pass strict=False",
         )
-    pairs = [(name, thing, np.asarray(arrays[name])) for name, thing in found.items()
+    pairs = [(name, thing, _as_array(arrays[name])) for name, thing in found.items()
              if name in arrays]  # fmt: skip
     for name, thing, array in pairs:
         wanted = tuple(thing.shape) + tuple(thing.element_shape)
@@ -149,9 +171,11 @@ def restore(
             raise TaiRuntimeTypeError(
                 f"'{name}' holds {array.dtype} in the checkpoint, but {thing.dtype} here"
             )
-    for _, thing, array in pairs:
-        thing.from_numpy(array)
-    return [name for name, _, _ in pairs]
+    return [(name, thing, rows_for(thing, array)) for name, thing, array in pairs]
+
+
+def _as_array(given: Any) -> Any:
+    return given if hasattr(given, "rows") else np.asarray(given)
 
 
 def _is_safetensors(path: Any) -> bool:
@@ -180,16 +204,24 @@ def save(path: Any, fields: Any = None, /, *, gradients: bool = False, **named: 
     Returns:
         The names in the file.
     """
-    arrays = state(fields, gradients=gradients, **named)
+    found = _collect(fields, named, gradients)
+    mesh = mesh_of_program()
+    if mesh is not None:
+        save_shards(mesh, path, found, _write, _read)
+    else:
+        _write(path, state(found))
+    return list(found)
+
+
+def _write(path: Any, arrays: Mapping[str, np.ndarray]) -> None:
     if _is_safetensors(path):
-        content = _safetensors().save(arrays, {"format": "tai"})
+        content = _safetensors().save(dict(arrays), {"format": "tai"})
         with replacing(path) as stream:
             for first in range(0, len(content), pieces.PIECE):
                 stream.write(memoryview(content)[first : first + pieces.PIECE])
     else:
         with replacing(path) as stream:
             np.savez(stream, **arrays)  # type: ignore[arg-type]
-    return list(arrays)
 
 
 def load(path: Any, fields: Any = None, /, *, strict: bool = True, **named: Any) -> list[str]:
@@ -205,22 +237,30 @@ def load(path: Any, fields: Any = None, /, *, strict: bool = True, **named: Any)
     Raises:
         TaiRuntimeError: the file is none of these; see `restore` for others.
     """
+    mesh = mesh_of_program()
+
+    def read() -> dict[str, Any]:
+        return load_shards(path, _read(path), _read)
+
+    arrays = read() if mesh is None else on_all(mesh, "loading a checkpoint", read)
+    return restore(arrays, fields, strict=strict, **named)
+
+
+def _read(path: Any) -> dict[str, Any]:
     if _is_safetensors(path):
         with open(path, "rb") as stream:
             content = stream.read()
         try:
-            arrays = _safetensors().load(content)
+            return dict(_safetensors().load(content))
         except TaiRuntimeError:
             raise
         except Exception as error:
             raise TaiRuntimeError(f"'{os.fspath(path)}' is no checkpoint: {error}") from None
-        return restore(arrays, fields, strict=strict, **named)
     try:
         with np.load(path) as file:
-            arrays = {name: file[name] for name in file.files}
+            return {name: file[name] for name in file.files}
     except (ValueError, zipfile.BadZipFile, EOFError, AttributeError) as error:
         raise TaiRuntimeError(f"'{os.fspath(path)}' is no checkpoint: {error}") from None
-    return restore(arrays, fields, strict=strict, **named)
 
 
 check_keywords(globals())

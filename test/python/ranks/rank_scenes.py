@@ -9,14 +9,14 @@ import numpy as np
 import tai as ti
 
 
-def _begin(transport: Any, fp: Any) -> None:
+def begin(transport: Any, fp: Any) -> None:
     mesh = None
     if transport is not None:
         mesh = ti.mesh("x", transport.size, transport)
     ti.init(arch=ti.cpu, default_fp=fp, mesh=mesh, offline_cache=False, cpu_max_num_threads=1)
 
 
-def _root(transport: Any, axis: Any) -> Any:
+def root(transport: Any, axis: Any) -> Any:
     return ti.root if transport is None else ti.root.shard(axis)
 
 
@@ -26,11 +26,11 @@ def _noise(*shape: int) -> np.ndarray:
 
 def wave(transport: Any, fp: Any, n: int = 24, steps: int = 6) -> dict[str, Any]:
     """A wave over a time axis, with a loss over a part of the field and a parameter."""
-    _begin(transport, fp)
+    begin(transport, fp)
     u = ti.field(fp)
     target, loss, c = ti.field(fp), ti.field(fp), ti.field(fp)
-    _root(transport, ti.j).dense(ti.ij, (steps, n)).place(u)
-    _root(transport, ti.j).dense(ti.j, n).place(target)
+    root(transport, ti.j).dense(ti.ij, (steps, n)).place(u)
+    root(transport, ti.j).dense(ti.j, n).place(target)
     ti.root.place(loss, c)
     ti.root.lazy_grad()
 
@@ -60,12 +60,12 @@ def wave(transport: Any, fp: Any, n: int = 24, steps: int = 6) -> dict[str, Any]
 
 def heat(transport: Any, fp: Any, n: int = 12, steps: int = 3) -> dict[str, Any]:
     """A stencil in two dimensions on vectors, reads that stop at the border, steps in place."""
-    _begin(transport, fp)
+    begin(transport, fp)
     a, b = (ti.Vector.field(2, fp) for _ in range(2))
     loss = ti.field(fp)
-    root = _root(transport, ti.i)
+    rows = root(transport, ti.i)
     for field in (a, b):
-        root.dense(ti.ij, (n, n)).place(field)
+        rows.dense(ti.ij, (n, n)).place(field)
     ti.root.place(loss)
     ti.root.lazy_grad()
 
@@ -95,12 +95,12 @@ def heat(transport: Any, fp: Any, n: int = 12, steps: int = 3) -> dict[str, Any]
 
 def scatter(transport: Any, fp: Any, n: int = 12) -> dict[str, Any]:
     """Additions across borders, minima and maxima, and their gradients."""
-    _begin(transport, fp)
+    begin(transport, fp)
     x, y = ti.field(fp), ti.field(fp)
     loss, top, low, count = ti.field(fp), ti.field(fp), ti.field(fp), ti.field(ti.i32)
-    root = _root(transport, ti.i)
+    rows = root(transport, ti.i)
     for field in (x, y):
-        root.dense(ti.i, n).place(field)
+        rows.dense(ti.i, n).place(field)
     ti.root.place(loss, top, low, count)
     ti.root.lazy_grad()
 
@@ -133,9 +133,9 @@ def scatter(transport: Any, fp: Any, n: int = 12) -> dict[str, Any]:
 
 
 def _blur(transport: Any, reach: int) -> tuple[Any, Any]:
-    _begin(transport, ti.f32)
+    begin(transport, ti.f32)
     x, y = ti.field(ti.f32), ti.field(ti.f32)
-    _root(transport, ti.i).dense(ti.i, 12).place(x, y)
+    root(transport, ti.i).dense(ti.i, 12).place(x, y)
 
     @ti.kernel
     def blur():

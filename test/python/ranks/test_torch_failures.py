@@ -63,3 +63,14 @@ def test_a_host_without_the_file_ends_the_other(tmp_path):
     done = subprocess.run([*hosts, *arguments], capture_output=True, text=True, timeout=120)
     assert missing.wait(timeout=120) != 0 and done.returncode != 0
     assert "rank 0 of 2 waited 3 s for the mesh 'x', and no rank 1 arrived" in done.stderr
+
+
+def test_a_restart_continues_from_the_last_checkpoint(tmp_path):
+    program = str(PROGRAM.with_name("rank_restart.py"))
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    whole.mkdir(), killed.mkdir()
+    subprocess.run([sys.executable, program, str(whole)], check=True, timeout=120)
+    command = [*TORCHRUN, "--standalone", "--nproc-per-node", "3", "--max-restarts", "1", program]
+    subprocess.run([*command, str(killed), "kill"], check=True, capture_output=True, timeout=120)
+    assert (killed / "continued").read_text() == "4"
+    assert (killed / "result.npy").read_bytes() == (whole / "result.npy").read_bytes()

@@ -91,13 +91,10 @@ class Mesh:
                 f"start the program by torchrun --nproc-per-node {self.ranks}",
             )
         self._known.clear()
-        own = f"mesh '{self.name}' of {self.ranks} ranks in tai {native.version()}"
-        line = np.frombuffer(own.encode()[:_TEXT].ljust(_TEXT, b"\0"), np.uint8)
-        found = self.together("its start", lambda: self._transport.all_gather(line))
-        for rank, other in enumerate(found):
-            text = bytes(other).rstrip(b"\0").decode(errors="replace")
-            if bytes(other) != bytes(line):
-                self._give_up(f"rank {self.rank} has {own}, and rank {rank} has {text}")
+        own = f"mesh '{self.name[:64]}' of {self.ranks} ranks in tai {native.version()}"
+        for rank, other in enumerate(self.texts("its start", own)):
+            if own != other:
+                self._give_up(f"rank {self.rank} has {own}, and rank {rank} has {other}")
 
     def _connect_default(self) -> Any:
         if self.ranks == 1 and "WORLD_SIZE" not in os.environ:
@@ -257,6 +254,26 @@ class Mesh:
             f"reading an element of field '{field}'", lambda: self._transport.all_gather(array)
         )
         return found[owner].tolist()
+
+    def agree(self, action: str, problem: str = "") -> None:
+        """Waits for all ranks.
+
+        Args:
+            action: for messages.
+            problem: why this rank cannot go on.
+
+        Raises:
+            TaiRuntimeError: on all ranks, if one of them has a problem. They can go on.
+        """
+        for rank, text in enumerate(self.texts(action, problem)):
+            if text:
+                raise TaiRuntimeError(f"rank {rank} of {self.ranks}: {text}")
+
+    def texts(self, action: str, own: str) -> list[str]:
+        """The texts of all ranks, each cut to 256 bytes."""
+        line = np.frombuffer(own.encode()[:_TEXT].ljust(_TEXT, b"\0"), np.uint8)
+        found = self.together(action, lambda: self._transport.all_gather(line))
+        return [bytes(each).rstrip(b"\0").decode(errors="replace") for each in found]
 
     def __repr__(self) -> str:
         return f"ti.mesh({self.name!r}, {self.ranks})"

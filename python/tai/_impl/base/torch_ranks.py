@@ -109,6 +109,9 @@ def connect(name: str, ranks: int, timeout: float) -> TorchRanks:
     store = None
     try:
         store = next(iter(dist.rendezvous("env://", timeout=wait)))[0]
+        # The store of torchrun outlives a restart, with the addresses of the former processes.
+        attempt = os.environ.get("TORCHELASTIC_RESTART_COUNT", "0")
+        store = dist.PrefixStore(f"attempt{attempt}", store)
         store.set(f"tai/here/{own}", "1")
         dist.init_process_group("gloo", store=store, rank=own, world_size=size, timeout=wait)
     except (RuntimeError, ValueError, OSError) as error:
