@@ -158,6 +158,12 @@ def steady(times: list[float]) -> list[float]:
     return times[len(times) // 2 :]
 
 
+def package_folder() -> Path:
+    """The folder that holds the package: of this checkout, or of the wheel in TAI_BUILD_DIR."""
+    build = Path(os.environ.get("TAI_BUILD_DIR", "build")).resolve()
+    return build.parent if (build / "__init__.py").exists() else ROOT / "python"
+
+
 def measured(program: Program, peer: str, args: argparse.Namespace, folder: Path) -> dict:
     """One run of the same file; times in milliseconds, or the reason why there are none."""
     python = sys.executable if peer == "tai" else str(peers_python(args.peers_venv))
@@ -170,7 +176,7 @@ def measured(program: Program, peer: str, args: argparse.Namespace, folder: Path
     command += ["--processor", "--threads", 1] if args.processor else []
     if not Path(python).exists():
         return {"reason": "missing: run benchmarks/setup_peers.py"}
-    environment = os.environ | ({"PYTHONPATH": str(ROOT / "python")} if peer == "tai" else {})
+    environment = os.environ | ({"PYTHONPATH": str(package_folder())} if peer == "tai" else {})
     found, reason = call(command, args.limit, env=environment)
     whole = [line for line in found if line.get("whole")]
     times = [value for line in whole or found for value in line["ms"]]

@@ -97,6 +97,12 @@ def build_folder() -> Path:
     return Path(os.environ.get("TAI_BUILD_DIR", ROOT / "build")).resolve()
 
 
+def package_folder() -> Path:
+    """The folder that holds the package: of this checkout, or of the wheel in TAI_BUILD_DIR."""
+    build = build_folder()
+    return build.parent if (build / "__init__.py").exists() else ROOT / "python"
+
+
 def own_seconds() -> float:
     """Seconds that processors have worked for this process and its children that have ended."""
     return sum(os.times()[:4])

@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from bars import ROOT, Bar
+from bars import ROOT, Bar, package_folder
 
 PROGRAM = ROOT / "test/reliability/r18_program.py"
 LLVM_BIN = Path(os.environ.get("TAI_LLVM_BIN", "/usr/lib/llvm-22/bin"))
@@ -38,7 +38,7 @@ CASES = [
 def start(what: str, arch: str, cache: Path, files: Path, step: str = "") -> str:
     """Runs the program; returns its output."""
     environment = os.environ | {
-        "PYTHONPATH": str(ROOT / "python"),
+        "PYTHONPATH": str(package_folder()),
         "TAI_CACHE_DIR": str(cache),
         "TMPDIR": str(files),
         "TAI_VERIFY_EACH": "1",

@@ -38,6 +38,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(Path(__file__).resolve().parent), str(ROOT / "scripts")]
 
 import page_tables  # noqa: E402
+from bars import package_folder  # noqa: E402
 
 import measured_commits  # noqa: E402
 
@@ -91,7 +92,7 @@ def scripts() -> dict[str, Path]:
 
 
 def environment() -> dict[str, str]:
-    paths = [str(ROOT / "python"), os.environ.get("PYTHONPATH", "")]
+    paths = [str(package_folder()), os.environ.get("PYTHONPATH", "")]
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
@@ -119,7 +120,10 @@ def commit() -> str:
     if known := os.environ.get("TAI_COMMIT"):
         return known
     command = ["git", "-C", ROOT, "log", "-1", "--format=%h"]
-    return subprocess.run(command, capture_output=True, text=True).stdout.strip() or "unknown"
+    try:
+        return subprocess.run(command, capture_output=True, text=True).stdout.strip() or "unknown"
+    except OSError:  # there is no git
+        return "unknown"
 
 
 def version(script: Path) -> str:

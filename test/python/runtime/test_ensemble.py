@@ -7,8 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import tai
 
 ROOT = Path(__file__).resolve().parents[3]
+# Of the checkout, or of a wheel that is tested.
+PACKAGE = Path(tai.__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "ensemble.py"
 
 
@@ -27,7 +30,7 @@ def find_python() -> str | None:
 
 
 def environment() -> dict[str, str]:
-    path = [*os.environ.get("PYTHONPATH", "").split(os.pathsep), str(ROOT / "python")]
+    path = [*os.environ.get("PYTHONPATH", "").split(os.pathsep), str(PACKAGE)]
     more = {"PYTHONPATH": os.pathsep.join(filter(None, path)), "OMP_NUM_THREADS": "1"}
     kept = {k: v for k, v in os.environ.items() if k not in ("TI_ARCH", "TAI_CUDA_EMULATION")}
     return kept | more

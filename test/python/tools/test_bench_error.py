@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tai
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks" / "error"))
 
@@ -21,12 +22,14 @@ import rows as table
 import solve_to
 
 ROOT = Path(__file__).resolve().parents[3]
+# Of the checkout, or of a wheel that is tested.
+PACKAGE = Path(tai.__file__).resolve().parents[1]
 FOLDER = ROOT / "benchmarks" / "error"
 SECONDS = 200
 
 
 def start(script, *options):
-    environment = os.environ | {"PYTHONPATH": str(ROOT / "python")}
+    environment = os.environ | {"PYTHONPATH": str(PACKAGE)}
     command = [sys.executable, str(FOLDER / script), *map(str, options)]
     return subprocess.run(
         command, capture_output=True, text=True, env=environment, timeout=SECONDS

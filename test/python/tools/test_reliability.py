@@ -13,8 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tai
+
+import needed
 
 ROOT = Path(__file__).resolve().parents[3]
+# Of the checkout, or of a wheel that is tested.
+PACKAGE = Path(tai.__file__).resolve().parents[1]
 SCRIPTS = sorted((ROOT / "test/reliability").glob("r[0-9]*_*.py"))
 BARS = [path for path in SCRIPTS if "Bar(" in path.read_text()]
 SHORT = [path for path in BARS if "apart=True" not in path.read_text()]
@@ -22,7 +27,7 @@ SHORT = [path for path in BARS if "apart=True" not in path.read_text()]
 
 @pytest.mark.parametrize("script", SHORT, ids=lambda path: path.stem)
 def test_bar(script):
-    environment = os.environ | {"PYTHONPATH": str(ROOT / "python")}
+    environment = os.environ | {"PYTHONPATH": str(PACKAGE)}
     command = [sys.executable, script, "--short"]
     result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200)
     assert result.returncode == 0, result.stdout + result.stderr
@@ -338,7 +343,7 @@ def test_the_page_is_that_of_the_scripts(soak):
 def git(folder, *words, **more):
     names = {f"GIT_{who}_{what}": "someone@example.org"
              for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}  # fmt: skip
-    command = ["git", "-C", str(folder), *words]
+    command = [needed.program("git"), "-C", str(folder), *words]
     done = subprocess.run(command, env=os.environ | names, capture_output=True, text=True, **more)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()

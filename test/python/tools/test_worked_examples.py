@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+import needed
+
 ROOT = Path(__file__).parents[3]
 sys.path.insert(0, str(ROOT / "scripts"))
 
@@ -41,7 +43,7 @@ def test_the_change_applies_and_touches_as_many_files_as_it_says(title):
     count, change = EXAMPLES[title]
     assert len(re.findall(r"^\+\+\+ b/", change, re.M)) == count
     done = subprocess.run(
-        ["git", "apply", "--check", "-C1", "-"], cwd=ROOT, input=change, text=True,
+        [needed.program("git"), "apply", "--check", "-C1", "-"], cwd=ROOT, input=change, text=True,
         capture_output=True,
     )  # fmt: skip
     assert done.returncode == 0, f"docs/developing.md, {title}: {done.stderr}"
@@ -62,8 +64,8 @@ def changed_files(title: str, folder: Path) -> list[Path]:
         if (ROOT / name).exists():
             shutil.copy(ROOT / name, folder / name)
     subprocess.run(
-        ["git", "apply", "-C1", "-"], cwd=folder, input=change, text=True, check=True,
-        env={**os.environ, "GIT_CEILING_DIRECTORIES": str(folder.parent)},
+        [needed.program("git"), "apply", "-C1", "-"], cwd=folder, input=change, text=True,
+        check=True, env={**os.environ, "GIT_CEILING_DIRECTORIES": str(folder.parent)},
     )  # fmt: skip
     return names
 
