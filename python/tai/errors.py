@@ -229,8 +229,9 @@ def show_line(
 def did_you_mean(name: str, known: Iterable[str]) -> str | None:
     """Returns a hint with the nearest of the known names, or None."""
     names = [k for k in known if isinstance(k, str)]
-    # Letters in another order are the likeliest mistake of all.
-    close = [k for k in names if sorted(k) == sorted(name)]
+    # Capital letters, and letters in another order, are the likeliest mistakes of all.
+    close = [k for k in names if k.lower() == name.lower()]
+    close = close or [k for k in names if sorted(k) == sorted(name)]
     close = close or difflib.get_close_matches(name, names, n=1)
     return f"did you mean '{close[0]}'?" if close else None
 

@@ -10,6 +10,7 @@ import traceback
 import numpy as np
 import pytest
 import tai as ti
+from tai.errors import did_you_mean
 
 MODULES = ["ad", "algorithms", "checkpoint", "gui", "linalg", "math", "optim", "profiler", "sparse",
            "testing", "tools", "types", "ui", "volumes"]  # fmt: skip
@@ -74,6 +75,13 @@ def test_a_misspelt_keyword_gets_the_nearest_one(name):
     with pytest.raises(TypeError, match=re.escape(f"keyword argument '{wrong}'")) as caught:
         function(*([None] if is_method else []), **{wrong: 1})
     assert f"did you mean '{right}'?" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"), [("dt", "DT"), ("coutn", "count"), ("Loss", "loss"), ("lost", "loss")]
+)
+def test_capitals_and_letters_in_another_order_come_first(wrong, right):
+    assert did_you_mean(wrong, ["t", "td", "DT", "count", "loss"]) == f"did you mean '{right}'?"
 
 
 def test_the_case_of_every_module_is_there():

@@ -140,6 +140,55 @@ def test_a_seed_that_is_never_given():
         del tape
 
 
+UNUSED = "a tape without a loss has recorded launches, and no gradient was computed"
+
+
+def test_a_tape_whose_loss_was_forgotten():
+    m = Model()
+    with pytest.warns(ti.ad.TaiGradientWarning, match=UNUSED):
+        with ti.ad.Tape():
+            m.square()
+    with pytest.warns(ti.ad.TaiGradientWarning, match=UNUSED):
+        with ti.ad.Tape() as tape:
+            m.square()
+            m.add()
+        del tape
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda tape, m: tape.backward({m.y: [1, 1, 1]}),
+        lambda tape, m: tape.replay(backward=False),
+        lambda tape, m: tape.explain(),
+        lambda tape, m: tape.stats(),
+        lambda tape, m: tape.memory,
+        lambda tape, m: tape.num_records,
+        lambda tape, m: tape.num_skipped,
+    ],
+    ids=["backward", "replay", "explain", "stats", "memory", "records", "skipped"],
+)
+def test_a_tape_without_a_loss_that_is_used(use):
+    m = Model()
+    with warnings.catch_warnings(record=True) as seen:
+        with ti.ad.Tape() as tape:
+            m.square()
+        use(tape, m)
+        del tape
+    assert not seen
+
+
+def test_no_word_about_tapes_that_an_error_ended_or_that_are_empty():
+    m = Model()
+    with warnings.catch_warnings(record=True) as seen:
+        with pytest.raises(KeyError), ti.ad.Tape():
+            m.square()
+            raise KeyError
+        with ti.ad.Tape():
+            pass
+    assert not seen
+
+
 def test_a_tape_without_launches():
     m = Model()
     with pytest.warns(ti.ad.TaiGradientWarning, match="recorded no launch"):

@@ -41,7 +41,8 @@ from .validation import LIMIT, raise_violations
 
 
 class _Missing:
-    """Warns, when a tape is garbage collected, that the gradient of its losses was never computed.
+    """Warns, when a tape is garbage collected, that a gradient was never computed: of its losses,
+    or if it has none, of what its launches computed.
 
     Not the tape itself: Python loses a Ctrl-C that comes in a `__del__`, and most tapes need none.
     """
@@ -50,7 +51,14 @@ class _Missing:
         self._losses, self.is_missing = losses, False
 
     def __del__(self) -> None:
-        if self.is_missing:
+        if self.is_missing and not self._losses:
+            warnings.warn(
+                "a tape without a loss has recorded launches, and no gradient was computed: write "
+                "with ti.ad.Tape(loss), or take the tape by 'as tape' and call tape.backward(…)",
+                TaiGradientWarning,
+                stacklevel=2,
+            )
+        elif self.is_missing:
             names = ", ".join(f"'{field.name}'" for field in self._losses)
             remedy = "needs a seed, as in tape.grad(seed=np.ones(loss.shape))"
             if all(field.batch is not None for field in self._losses):
@@ -251,6 +259,9 @@ class Tape(native.WithBlock):
             if self._probes is not None:
                 self._rounding = self._probes.take()
         self._end()
+        if kind is None and not self._losses and self._outer_loss is None and self._core.records:
+            self._missing = _Missing([])
+            self._missing.is_missing = True
         if is_swept:
             warn(self._core)
             program = get_program()
@@ -264,8 +275,16 @@ class Tape(native.WithBlock):
 
     def _note_seeds(self) -> None:
         self._was_seeded = True
+        self._note_use()
+
+    def _note_use(self) -> None:
         if self._missing is not None:
             self._missing.is_missing = False
+
+    def _note_reading(self) -> None:
+        """Somebody wants the record of a tape, for which one without a loss was made."""
+        if not self._losses:
+            self._note_use()
 
     def grad(self, seed: Any = None) -> None:
         """Runs the gradients of the recorded kernels, again or with other seeds.
@@ -363,6 +382,7 @@ class Tape(native.WithBlock):
         """The memory that the tape uses, and the amount of recomputation."""
         if self._core is None:
             raise TaiRuntimeError("the tape holds nothing yet", "enter its `with` block first")
+        self._note_reading()
         return TapeStats(*self._core.stats())
 
     @property
@@ -470,6 +490,7 @@ class Tape(native.WithBlock):
     def _need_record(self) -> None:
         if self._core is None or self._is_recording:
             raise TaiRuntimeError("the tape holds nothing yet", "leave its `with` block first")
+        self._note_reading()
 
     def __repr__(self) -> str:
         if self._core is None:
@@ -491,10 +512,12 @@ class Tape(native.WithBlock):
 
     @property
     def num_records(self) -> int:
+        self._note_reading()
         return self._core.records
 
     @property
     def num_skipped(self) -> int:
+        self._note_reading()
         return self._core.skipped
 
 
