@@ -62,7 +62,7 @@ stress: build ## run the 44 stress cases at full size, with what they measure (A
 	@$(PYTHON) scripts/stress.py $(ARGS)
 
 paper: build ## rerun the figures and tables of the paper into out/paper (ARGS="--full")
-	@$(PYTHON) -m tai.paper $(ARGS)
+	@$(PYTHON) -m tai paper $(ARGS)
 
 soak: build ## run the bars of reliability, 90 minutes (ARGS="--only R5 R8"): docs/reliability.md
 	@$(PYTHON) test/reliability/soak.py $(ARGS)

@@ -3,7 +3,7 @@
     python scripts/line_counts.py
     python scripts/line_counts.py --show smoke
 
-`tai.paper.lines` defines which lines are essential.
+`examples/paper/lines.py` defines which lines are essential.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "python"))
+sys.path[:0] = [str(ROOT / "python"), str(ROOT / "examples")]
 
-from tai.paper.lines import PAPER, code_lines, counts, essential  # noqa: E402
+from paper.lines import PAPER, code_lines, counts, essential  # noqa: E402
 
 __all__ = ["code_lines", "essential"]
 EXAMPLES = ROOT / "examples"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import runpy
 import sys
+from pathlib import Path
 
 from . import about, doctor
 
@@ -14,6 +15,27 @@ _COMMANDS = {
     "view": "run a program and show its pictures in a window",
     "paper": "run the experiments of the DiffTaichi paper again (in a checkout)",
 }
+
+
+def _run_paper(options: list[str]) -> int:
+    """Runs the package `paper` of the folder of examples, which an installed package lacks."""
+    folders = [Path(__file__).resolve().parents[2] / "examples", Path.cwd() / "examples"]
+    for option, value in zip(options, [*options[1:], ""], strict=True):
+        name, _, joined = option.partition("=")
+        if name == "--examples":
+            folders.append(Path(joined or value))
+    for folder in folders:
+        if (folder / "paper" / "__main__.py").is_file():
+            sys.path.insert(0, str(folder.resolve()))
+            sys.argv = ["python -m tai paper", *options]
+            runpy.run_module("paper", run_name="__main__", alter_sys=True)
+            return 0
+    print(
+        f"paper: {folders[-1]} has no folder 'paper': name the folder 'examples' of a checkout "
+        "by --examples",
+        file=sys.stderr,
+    )
+    return 2
 
 
 def main() -> int:
@@ -37,10 +59,12 @@ def main() -> int:
     if args.command is None:
         parser.print_help()
         return 2
-    if args.command in ("view", "paper"):
-        sys.argv = [f"python -m tai.{args.command}", *rest]
-        runpy.run_module(f"tai.{args.command}", run_name="__main__", alter_sys=True)
+    if args.command == "view":
+        sys.argv = ["python -m tai.view", *rest]
+        runpy.run_module("tai.view", run_name="__main__", alter_sys=True)
         return 0
+    if args.command == "paper":
+        return _run_paper(rest)
     own_parser = argparse.ArgumentParser(
         prog=f"python -m tai {args.command}", description=_COMMANDS[args.command]
     )

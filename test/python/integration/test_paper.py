@@ -11,16 +11,19 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from tai.paper import page
-from tai.paper.experiments import EXPERIMENTS
-from tai.paper.lab import Lab, Result, last_line
 
 ROOT = Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(ROOT / "examples"))
+
+from paper import page  # noqa: E402
+from paper.experiments import EXPERIMENTS  # noqa: E402
+from paper.lab import Lab, Result, last_line  # noqa: E402
+
 REPORTS = ROOT / "docs" / "reports"
-COMMAND = [sys.executable, "-m", "tai.paper", "--once"]
+COMMAND = [sys.executable, "-m", "tai", "paper", "--once"]
 
 
-def paper(out, *options, cwd=ROOT, **environment):
+def run_paper(out, *options, cwd=ROOT, **environment):
     words = [*COMMAND, "--out", out, *options]
     return subprocess.run(
         list(map(str, words)), capture_output=True, text=True, cwd=cwd,
@@ -35,7 +38,7 @@ def results(out):
 
 @pytest.mark.parametrize("name", [experiment.name for experiment in EXPERIMENTS])
 def test_each_experiment_once(tmp_path, name):
-    done = paper(tmp_path, "--only", name)
+    done = run_paper(tmp_path, "--only", name)
     (result,) = results(tmp_path).values()
     if name == "water_renderer" and result["status"] == "left out":
         assert "torch" in result["reason"] and "pip install torch" in result["reason"]
@@ -79,7 +82,7 @@ def examples(tmp_path):
 
 
 def test_a_failed_experiment_does_not_stop_the_others(tmp_path, examples):
-    done = paper(tmp_path / "out", "--examples", examples(), "--only", "lengths", "toi")
+    done = run_paper(tmp_path / "out", "--examples", examples(), "--only", "lengths", "toi")
     assert done.returncode == 1, done.stderr
     found = results(tmp_path / "out")
     assert found["toi"]["status"] == "ok"
@@ -91,7 +94,7 @@ def test_a_failed_experiment_does_not_stop_the_others(tmp_path, examples):
 
 
 def test_numbers_that_are_wrong_fail(tmp_path, examples):
-    done = paper(tmp_path / "out", "--examples", examples(naive=-1), "--only", "toi")
+    done = run_paper(tmp_path / "out", "--examples", examples(naive=-1), "--only", "toi")
     assert done.returncode == 1
     assert "FAILED: naive: a derivative is 2 away from +1" in done.stdout
 
@@ -105,13 +108,13 @@ def test_numbers_that_are_wrong_fail(tmp_path, examples):
     ],
 )
 def test_programs_that_end(tmp_path, examples, action, reason):
-    done = paper(tmp_path / "out", "--examples", examples(action), "--only", "toi")
+    done = run_paper(tmp_path / "out", "--examples", examples(action), "--only", "toi")
     assert done.returncode == 1 and reason in done.stdout
 
 
 def test_what_a_machine_lacks_is_left_out(tmp_path, examples):
     action = "sys.exit('toy: it needs torch, which is not installed: pip install torch')"
-    done = paper(tmp_path / "out", "--examples", examples(action), "--only", "toi")
+    done = run_paper(tmp_path / "out", "--examples", examples(action), "--only", "toi")
     assert done.returncode == 0
     assert "left out: toy: it needs torch, which is not installed: pip install torch" in done.stdout
 
@@ -147,11 +150,11 @@ def test_an_interrupted_run_goes_on(tmp_path, examples, number):
     # Finished experiments are not run again, and their places on the page stay.
     examples()
     (folder / "mass_spring_simple.py").write_text("1 / 0")
-    done = paper(out, "--examples", folder, "--only", "lengths", "toi", "--resume")
+    done = run_paper(out, "--examples", folder, "--only", "lengths", "toi", "--resume")
     assert done.returncode == 0, done.stdout + done.stderr
     assert (out / "paper.md").read_text().count("\n## ") == 2
     # Without --resume all runs again, and so it does for other settings.
-    done = paper(out, "--examples", folder, "--only", "lengths")
+    done = run_paper(out, "--examples", folder, "--only", "lengths")
     assert done.returncode == 1 and "ZeroDivisionError" in done.stdout
 
 
@@ -160,18 +163,20 @@ def test_programs_are_resumed_too(tmp_path, examples):
     run = out / "runs/toi/run"
     run.mkdir(parents=True)
     (run / "rigid_body_toi.npz").touch()
-    assert paper(out, "--examples", folder, "--only", "toi", "--resume").returncode == 0
+    assert run_paper(out, "--examples", folder, "--only", "toi", "--resume").returncode == 0
     assert " --resume" in (folder / "started").read_text()
-    assert paper(out, "--examples", folder, "--only", "toi").returncode == 0
+    assert run_paper(out, "--examples", folder, "--only", "toi").returncode == 0
     assert " --resume" not in (folder / "started").read_text()
 
 
 def test_runs_with_other_settings_do_not_go_on(tmp_path, examples):
     folder, out = examples(), tmp_path / "out"
-    assert paper(out, "--examples", folder, "--only", "toi").returncode == 0
+    assert run_paper(out, "--examples", folder, "--only", "toi").returncode == 0
     (out / "runs/toi/run/rigid_body_toi.npz").touch()
     assert (
-        paper(out, "--examples", folder, "--only", "toi", "--resume", "--arch", "cuda").returncode
+        run_paper(
+            out, "--examples", folder, "--only", "toi", "--resume", "--arch", "cuda"
+        ).returncode
         == 0
     )
     assert "--arch cuda" in (folder / "started").read_text()
@@ -180,7 +185,7 @@ def test_runs_with_other_settings_do_not_go_on(tmp_path, examples):
 
 def test_a_new_start_forgets_its_experiments_and_no_others(tmp_path, examples):
     out = tmp_path / "out"
-    assert paper(out, "--examples", examples(), "--only", "toi").returncode == 0
+    assert run_paper(out, "--examples", examples(), "--only", "toi").returncode == 0
     (out / "runs/billiards").mkdir()
     assert "toi" in results(out)
     # Experiments that an interrupted run has not done must not be taken from the run before it.
@@ -191,7 +196,7 @@ def test_a_new_start_forgets_its_experiments_and_no_others(tmp_path, examples):
 
 def test_bad_input(tmp_path):
     def line(*options, **more):
-        done = paper(*options, **more)
+        done = run_paper(*options, **more)
         assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
         return done.stderr
 
@@ -209,7 +214,7 @@ def test_a_page_elsewhere(tmp_path, examples):
     (docs / "pictures/paper_old.png").touch()
     (docs / "pictures/other.png").touch()
     options = ("--examples", examples(), "--only", "toi", "--page", docs)
-    assert paper(tmp_path / "out", *options).returncode == 0
+    assert run_paper(tmp_path / "out", *options).returncode == 0
     assert (docs / "paper.md").read_text() == (tmp_path / "out/paper.md").read_text()
     assert [path.name for path in (docs / "pictures").iterdir()] == ["other.png"]
 
@@ -227,7 +232,7 @@ def test_the_page_of_a_gpu_lies_beside_that_of_the_cpu(tmp_path):
     kept = {"settings": {"level": "once", "arch": "cuda"}, "result": result}
     (out / "results/toi.json").write_text(json.dumps(kept))
     options = ("--only", "toi", "--page", docs, "--arch", "cuda", "--resume")
-    done = paper(out, *options)
+    done = run_paper(out, *options)
     assert done.returncode == 0, done.stdout + done.stderr
     text = (docs / "paper-cuda.md").read_text()
     assert "Machine: a host, a GPU; arch cuda." in text
@@ -269,6 +274,26 @@ def test_without_matplotlib(tmp_path, monkeypatch):
 def test_words():
     assert last_line("a\n b \n\n") == "b" and last_line("\n") == "it said nothing"
     assert page.verdict(Result("x", "failed", "a|b")) == "FAILED: a/b"
+
+
+def test_a_package_without_a_checkout(tmp_path):
+    """The command of an installed package finds the experiments beside the examples."""
+    copy = tmp_path / "command.py"
+    copy.write_text((ROOT / "python/tai/__main__.py").read_text().replace("from .", "from tai"))
+
+    def run(*options, cwd):
+        command = [sys.executable, copy, "paper", "--list", *options]
+        return subprocess.run(
+            list(map(str, command)), capture_output=True, text=True, cwd=cwd, timeout=200,
+            env=os.environ | {"PYTHONPATH": str(ROOT / "python")},
+        )  # fmt: skip
+
+    assert run(cwd=ROOT).returncode == 0
+    assert run("--examples", ROOT / "examples", cwd=tmp_path).returncode == 0
+    assert run(f"--examples={ROOT}/examples", cwd=tmp_path).returncode == 0
+    done = run(cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith(f"paper: {tmp_path}/examples has no folder 'paper': name the")
 
 
 def test_the_list():

@@ -21,8 +21,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
+import tai
+
 LEVELS = ("once", "quick", "full")
-_PACKAGES = Path(__file__).resolve().parents[2]
+_TIMED = Path(__file__).resolve().with_name("timed.py")
+_PACKAGES = Path(tai.__file__).resolve().parents[1]
 _T = TypeVar("_T")
 
 
@@ -133,7 +136,7 @@ class Lab:
         folder = self.out / "runs" / self.result.name / label
         folder.mkdir(parents=True, exist_ok=True)
         times = folder / "times.json"
-        command = [sys.executable, *(["-m", "tai.paper.timed", str(times)] if timed else [])]
+        command = [sys.executable, *([str(_TIMED), str(times)] if timed else [])]
         command += [str(program), *map(str, options), "--out", str(folder), *self.extra]
         command += ["--iterations", str(iterations)] if iterations else []
         command += ["--arch", self.arch] if self.arch != "cpu" else []

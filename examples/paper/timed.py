@@ -1,4 +1,4 @@
-"""Runs a program and writes the times of its tapes: `python -m tai.paper.timed FILE program …`.
+"""Runs a program and writes the times of its tapes: `python timed.py FILE program …`.
 
 The file gets a row per tape: seconds of the forward pass, with its recording, and of the reverse
 sweep.

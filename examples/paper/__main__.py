@@ -18,13 +18,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from .._impl.base.files import replacing_name, write_text
+from tai._impl.base.files import replacing_name, write_text
+
 from . import __doc__ as text
 from . import page
 from .experiments import EXPERIMENTS, Experiment
 from .lab import Failed, Lab, LeftOut, Result
 
-PLACES = (Path(__file__).resolve().parents[3] / "examples", Path.cwd() / "examples")
+PLACES = (Path(__file__).resolve().parents[1], Path.cwd() / "examples")
 
 
 def fail(message: str) -> NoReturn:
@@ -40,7 +41,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _options() -> argparse.Namespace:
     parser = _Parser(
-        prog="python -m tai.paper", description=text,
+        prog="python -m tai paper", description=text,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     add = parser.add_argument
@@ -67,7 +68,7 @@ def _options() -> argparse.Namespace:
 
 
 def _examples(given: Path | None) -> Path:
-    """The folder of the example programs, which an installed package does not have."""
+    """The folder of the example programs: by default, the one that holds this package."""
     for place in (given,) if given else PLACES:
         if (place / "mass_spring_simple.py").is_file() and (place / "studio").is_dir():
             return place.resolve()
@@ -206,7 +207,7 @@ def _write_page(lab: Lab, rows: list[page.Row], copy: Path | None) -> Path:
     head = [
         "Results of the programs of [examples](../start/examples.md) for the figures and tables of "
         "*DiffTaichi: Differentiable Programming for Physical Simulation* (ICLR 2020). Made by "
-        f"`python -m tai.paper --{lab.level}`; every number that is not said to be the paper's "
+        f"`python -m tai paper --{lab.level}`; every number that is not said to be the paper's "
         "comes from that run.",
         f"Machine: {'; '.join(machines)}; arch {lab.arch}. {times}",
     ]
