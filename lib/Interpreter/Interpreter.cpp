@@ -22,8 +22,8 @@ Interpreter::~Interpreter() = default;
 std::shared_ptr<const Interpreter>
 Interpreter::create(OwningOpRef<ModuleOp> module, StringRef function,
                     const InterpreterOptions &options) {
-  std::unique_ptr<Program> program =
-      Program::create(*module, function, options);
+  std::unique_ptr<FunctionCode> program =
+      FunctionCode::create(*module, function, options);
   if (!program)
     return nullptr;
   std::shared_ptr<Interpreter> made(new Interpreter());
@@ -97,12 +97,13 @@ static const Handlers &getHandlers() {
 }
 
 //===----------------------------------------------------------------------===//
-// Program
+// FunctionCode
 //===----------------------------------------------------------------------===//
 
-std::unique_ptr<Program> Program::create(ModuleOp module, StringRef function,
-                                         const InterpreterOptions &options) {
-  std::unique_ptr<Program> program(new Program());
+std::unique_ptr<FunctionCode>
+FunctionCode::create(ModuleOp module, StringRef function,
+                     const InterpreterOptions &options) {
+  std::unique_ptr<FunctionCode> program(new FunctionCode());
   program->options = options;
   program->module = module;
   program->function = dyn_cast_if_present<FunctionOpInterface>(
@@ -116,7 +117,7 @@ std::unique_ptr<Program> Program::create(ModuleOp module, StringRef function,
   return program;
 }
 
-LogicalResult Program::prepareField(Operation *user, StringAttr name) {
+LogicalResult FunctionCode::prepareField(Operation *user, StringAttr name) {
   auto &slot = fields[name];
   if (slot)
     return success();
@@ -144,7 +145,7 @@ LogicalResult Program::prepareField(Operation *user, StringAttr name) {
   return success();
 }
 
-LogicalResult Program::prepare(Operation *function) {
+LogicalResult FunctionCode::prepare(Operation *function) {
   if (!prepared.insert(function).second)
     return success();
   if (cast<FunctionOpInterface>(function).isExternal())

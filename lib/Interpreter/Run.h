@@ -13,7 +13,7 @@
 #ifndef TAI_LIB_INTERPRETER_RUN_H
 #define TAI_LIB_INTERPRETER_RUN_H
 
-#include "Program.h"
+#include "FunctionCode.h"
 #include "tai/Support/Places.h"
 #include <map>
 #include <random>
@@ -81,7 +81,7 @@ struct Message {
 
 /// The state of one run of a function in the interpreter.
 struct Run {
-  Run(const Program &program, TaiFrame *frame)
+  Run(const FunctionCode &program, TaiFrame *frame)
       : program(program), frame(frame),
         order(program.getOptions().orderSeed + frame->launch) {}
 
@@ -119,7 +119,7 @@ struct Run {
   LogicalResult checkDefined(Operation *op);
   LogicalResult runBlock(Block &block, ArrayRef<Datum> arguments);
 
-  const Program &program;
+  const FunctionCode &program;
   TaiFrame *frame;
   /// Draws the order of the iterations of parallel loops, if that is random.
   std::mt19937_64 order;

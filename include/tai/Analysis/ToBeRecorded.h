@@ -15,7 +15,7 @@
 #ifndef TAI_ANALYSIS_TOBERECORDED_H
 #define TAI_ANALYSIS_TOBERECORDED_H
 
-#include "tai/Analysis/LaunchAccesses.h"
+#include "tai/Analysis/KernelAccesses.h"
 #include "tai/Analysis/ZeroAdjoints.h"
 
 namespace mlir::tai {

@@ -34,7 +34,7 @@ struct InterpreterOptions {
 };
 
 namespace interpreter {
-class Program;
+class FunctionCode;
 } // namespace interpreter
 
 /// Interprets a kernel or a host function (`func.func`) with all functions that
@@ -58,7 +58,7 @@ private:
   Interpreter() = default;
 
   OwningOpRef<ModuleOp> module;
-  std::unique_ptr<interpreter::Program> program;
+  std::unique_ptr<interpreter::FunctionCode> program;
 };
 
 } // namespace mlir::tai

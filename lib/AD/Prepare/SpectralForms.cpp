@@ -27,7 +27,7 @@
 #include "mlir/IR/Iterators.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
-#include "tai/AD/Rules/Decompositions.h"
+#include "tai/AD/Rules/MatrixFormulas.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;

@@ -16,7 +16,7 @@
 
 #include "Models.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "tai/AD/Rules/Decompositions.h"
+#include "tai/AD/Rules/MatrixFormulas.h"
 
 using namespace mlir;
 using namespace mlir::tai;

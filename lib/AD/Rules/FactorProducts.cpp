@@ -17,7 +17,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/AD/Rules/Decompositions.h"
+#include "tai/AD/Rules/MatrixFormulas.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -12,7 +12,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Models.h"
-#include "tai/AD/Rules/Decompositions.h"
+#include "tai/AD/Rules/MatrixFormulas.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -16,7 +16,7 @@
 #include "StridedOrder.h"
 #include "mlir/IR/PatternMatch.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 
 namespace mlir::tai {

@@ -8,7 +8,7 @@
 #include "CountWrites.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 
 using namespace mlir;
 using namespace mlir::tai;

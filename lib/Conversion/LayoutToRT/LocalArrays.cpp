@@ -12,7 +12,7 @@
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Interfaces/DataLayoutInterfaces.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 

@@ -23,8 +23,8 @@
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
-#include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/ActiveCells.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 

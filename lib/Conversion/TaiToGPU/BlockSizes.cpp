@@ -16,7 +16,7 @@
 #include "tai/ABI/DeviceAccesses.h"
 #include "tai/Analysis/Reductions/Accumulation.h"
 #include "tai/Support/BlockSize.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;

@@ -23,7 +23,7 @@
 #include "tai/Conversion/TaiToGPU/Offload.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_NARROWINDICES

@@ -11,7 +11,7 @@
 #include "tai/Conversion/TaiToHost/Lowering.h"
 #include "tai/Dialect/Mesh/IR/Mesh.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/LowerEach.h"
 

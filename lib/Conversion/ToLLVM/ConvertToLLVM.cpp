@@ -32,7 +32,7 @@
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "llvm/ADT/StringSet.h"
 
 namespace mlir::tai {

@@ -11,8 +11,8 @@
 // the heap of the device, which is small and of which thousands of threads
 // allocate at the same time: a failure is reported with kernel, line and size,
 // and the thread exits before it writes to memory. The exit is inserted in LLVM
-// IR (see lib/CodeGen/Passes/LocalMemory.cpp), where a branch to the end of the
-// function is possible.
+// IR (see lib/CodeGen/Passes/FailedAllocations.cpp), where a branch to the end
+// of the function is possible.
 //
 //===----------------------------------------------------------------------===//
 

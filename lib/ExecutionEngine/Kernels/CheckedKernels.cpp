@@ -11,7 +11,7 @@
 
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Transforms/Passes.h"
-#include "tai/Analysis/LaunchAccesses.h"
+#include "tai/Analysis/KernelAccesses.h"
 #include "tai/CodeGen/Diagnostics.h"
 #include "tai/CodeGen/InjectedFailures.h"
 #include "tai/ExecutionEngine/Kernels/KernelCode.h"

@@ -14,7 +14,7 @@
 
 #include "tai/AD/Signature.h"
 #include "tai/Analysis/AccessOrder.h"
-#include "tai/Analysis/LaunchAccesses.h"
+#include "tai/Analysis/KernelAccesses.h"
 #include "tai/Analysis/ValueFlows.h"
 #include "tai/CodeGen/Diagnostics.h"
 #include "tai/ExecutionEngine/Kernels/Summaries.h"

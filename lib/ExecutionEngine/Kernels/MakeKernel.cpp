@@ -9,7 +9,7 @@
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/AD/Signature.h"
-#include "tai/Analysis/LaunchAccesses.h"
+#include "tai/Analysis/KernelAccesses.h"
 #include "tai/CodeGen/InjectedFailures.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/ExecutionEngine/Kernels/KernelCode.h"

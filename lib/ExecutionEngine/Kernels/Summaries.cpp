@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Kernels/Summaries.h"
-#include "tai/Analysis/LaunchAccesses.h"
+#include "tai/Analysis/KernelAccesses.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -18,7 +18,7 @@
 #include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/Mesh.h"
 #include "tai/Runtime/Launch/ShadowLog.h"
-#include "tai/Runtime/Math/VectorMath.h"
+#include "tai/Runtime/Math/VectorSymbols.h"
 #include "tai/Runtime/Storage/Scalars.h"
 #include "tai/Runtime/Text/Format.h"
 #include "tai/Runtime/Threads/FixedParts.h"

@@ -13,7 +13,7 @@
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Reductions/Accumulation.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;

@@ -13,7 +13,7 @@
 #include "Scalarizer.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;

@@ -12,6 +12,7 @@
 
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "Scalarizer.h"
+#include "mlir/Dialect/Utils/IndexingUtils.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "llvm/ADT/TypeSwitch.h"
 
@@ -19,22 +20,14 @@ using namespace mlir;
 using namespace mlir::tai;
 
 /// Returns the row-major position of a multi-index.
-static int64_t linearize(ArrayRef<int64_t> shape, ArrayRef<int64_t> indices) {
-  int64_t position = 0;
-  for (auto [extent, index] : llvm::zip(shape, indices))
-    position = position * extent + index;
-  return position;
+static int64_t getPosition(ArrayRef<int64_t> shape, ArrayRef<int64_t> indices) {
+  return linearize(indices, computeSuffixProduct(shape));
 }
 
 /// Returns the multi-index of a row-major position.
-static SmallVector<int64_t> delinearize(ArrayRef<int64_t> shape,
-                                        int64_t position) {
-  SmallVector<int64_t> indices(shape.size());
-  for (size_t d = shape.size(); d-- > 0;) {
-    indices[d] = position % shape[d];
-    position /= shape[d];
-  }
-  return indices;
+static SmallVector<int64_t> getIndices(ArrayRef<int64_t> shape,
+                                       int64_t position) {
+  return delinearize(position, computeSuffixProduct(shape));
 }
 
 static ArrayRef<int64_t> getShape(Type type) {
@@ -101,7 +94,8 @@ static void expandExtract(vector::ExtractOp op, Scalarizer &scalarizer) {
   forEachPosition(
       builder, op.getLoc(), indices, shape,
       [&](ArrayRef<int64_t> position, Value condition) {
-        int64_t first = linearize(shape.take_front(position.size()), position);
+        int64_t first =
+            getPosition(shape.take_front(position.size()), position);
         for (int64_t i = 0; i != count; ++i) {
           Value value = source[first * count + i];
           // The first candidate position is taken without a condition, since
@@ -131,7 +125,8 @@ static void expandInsert(vector::InsertOp op, Scalarizer &scalarizer) {
   forEachPosition(
       builder, op.getLoc(), indices, shape,
       [&](ArrayRef<int64_t> position, Value condition) {
-        int64_t first = linearize(shape.take_front(position.size()), position);
+        int64_t first =
+            getPosition(shape.take_front(position.size()), position);
         for (int64_t i = 0; i != count; ++i) {
           Value &slot = result[first * count + i];
           slot = condition ? arith::SelectOp::create(builder, op.getLoc(),
@@ -151,11 +146,11 @@ static void expandBroadcast(vector::BroadcastOp op, Scalarizer &scalarizer) {
   ArrayRef<int64_t> to = op.getResultVectorType().getShape();
   Components result;
   for (int64_t i = 0, e = getCount(op.getType()); i != e; ++i) {
-    SmallVector<int64_t> at = delinearize(to, i);
+    SmallVector<int64_t> at = getIndices(to, i);
     SmallVector<int64_t> sourceAt(ArrayRef(at).take_back(from.size()));
     for (auto [index, extent] : llvm::zip(sourceAt, from))
       index = extent == 1 ? 0 : index;
-    result.push_back(source[linearize(from, sourceAt)]);
+    result.push_back(source[getPosition(from, sourceAt)]);
   }
   scalarizer.set(op.getResult(), std::move(result));
 }
@@ -166,10 +161,10 @@ static void expandTranspose(vector::TransposeOp op, Scalarizer &scalarizer) {
   ArrayRef<int64_t> to = op.getResultVectorType().getShape();
   Components result;
   for (int64_t i = 0, e = getCount(op.getType()); i != e; ++i) {
-    SmallVector<int64_t> at = delinearize(to, i), sourceAt(from.size());
+    SmallVector<int64_t> at = getIndices(to, i), sourceAt(from.size());
     for (auto [d, axis] : llvm::enumerate(op.getPermutation()))
       sourceAt[axis] = at[d];
-    result.push_back(source[linearize(from, sourceAt)]);
+    result.push_back(source[getPosition(from, sourceAt)]);
   }
   scalarizer.set(op.getResult(), std::move(result));
 }
@@ -197,7 +192,7 @@ static void expandMultiReduction(vector::MultiDimReductionOp op,
   SmallVector<bool> reduced = op.getReductionMask();
   for (int64_t i = 0, e = values.size(); i != e; ++i) {
     int64_t position = 0;
-    SmallVector<int64_t> at = delinearize(from, i);
+    SmallVector<int64_t> at = getIndices(from, i);
     for (auto [d, extent] : llvm::enumerate(from))
       if (!reduced[d])
         position = position * extent + at[d];
@@ -235,10 +230,10 @@ static void expandExtractSlice(vector::ExtractStridedSliceOp op,
   SmallVector<int64_t> strides = getIntegers(op.getStrides());
   Components result;
   for (int64_t i = 0, e = getCount(op.getType()); i != e; ++i) {
-    SmallVector<int64_t> at = delinearize(to, i);
+    SmallVector<int64_t> at = getIndices(to, i);
     for (size_t d = 0; d != offsets.size(); ++d)
       at[d] = offsets[d] + at[d] * strides[d];
-    result.push_back(source[linearize(from, at)]);
+    result.push_back(source[getPosition(from, at)]);
   }
   scalarizer.set(op.getResult(), std::move(result));
 }
@@ -253,11 +248,11 @@ static void expandInsertSlice(vector::InsertStridedSliceOp op,
   SmallVector<int64_t> strides = getIntegers(op.getStrides());
   size_t leading = to.size() - from.size();
   for (int64_t i = 0, e = source.size(); i != e; ++i) {
-    SmallVector<int64_t> inner = delinearize(from, i);
+    SmallVector<int64_t> inner = getIndices(from, i);
     SmallVector<int64_t> at(offsets);
     for (auto [d, index] : llvm::enumerate(inner))
       at[leading + d] += index * strides[d];
-    result[linearize(to, at)] = source[i];
+    result[getPosition(to, at)] = source[i];
   }
   scalarizer.set(op.getResult(), std::move(result));
 }

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Transforms/Utils/ActiveCells.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 
 using namespace mlir;
 using namespace mlir::tai;

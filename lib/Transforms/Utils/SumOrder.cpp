@@ -7,7 +7,7 @@
 
 #include "tai/Transforms/Utils/SumOrder.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;

@@ -7,7 +7,7 @@
 
 #include "RowBuilder.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -20,7 +20,7 @@ def test_a_header_is_looked_at_in_its_own_source():
 
 def test_headers_of_one_name_are_told_apart():
     """lib/AD/Reverse/StoredOutputs.cpp includes another file of that name."""
-    source = tidy.includer("lib/Runtime/Tape/Memory/StoredOutputs.h", sources("lib/*.cpp"))
+    source = tidy.includer("lib/Runtime/Tape/Memory/StoredSlabs.h", sources("lib/*.cpp"))
     assert source.startswith("lib/Runtime/Tape/")
 
 

@@ -25,7 +25,7 @@ using namespace mlir::tai;
 namespace {
 /// The integer sums (one or two integers each) of one group of additions, and
 /// the scale of each sum.
-struct Accumulators : ScatterBuffer {
+struct FixedPointSums : ScatterBuffer {
   using ScatterBuffer::ScatterBuffer;
   Value scales;
 
@@ -47,11 +47,11 @@ public:
   LogicalResult run(ArrayRef<AtomicOp> atomics);
 
 private:
-  Accumulators create(const AccumulationGroup &group);
+  FixedPointSums create(const AccumulationGroup &group);
   void emitPass(ParallelForOp in, Pass pass);
   Value emitCall(OpBuilder &builder, Location loc, Pass pass,
-                 const Accumulators &to, Value number, Value operand = {});
-  void emitSum(OpBuilder &builder, const Accumulators &from, Value number,
+                 const FixedPointSums &to, Value number, Value operand = {});
+  void emitSum(OpBuilder &builder, const FixedPointSums &from, Value number,
                Value element);
   bool hasEffects();
   bool isWorthVisiting(ArrayRef<AccumulationGroup> groups, bool hasEffects);
@@ -59,7 +59,7 @@ private:
   ParallelForOp loop;
   Value frame;
   DeviceLowering &lowering;
-  SmallVector<Accumulators> all;
+  SmallVector<FixedPointSums> all;
 };
 } // namespace
 
@@ -111,8 +111,8 @@ static void removeDeadOps(ParallelForOp loop) {
       op->erase();
 }
 
-Accumulators Splitter::create(const AccumulationGroup &group) {
-  Accumulators made(group);
+FixedPointSums Splitter::create(const AccumulationGroup &group) {
+  FixedPointSums made(group);
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
   RuntimeCalls &runtime = lowering.host.runtime;
@@ -127,7 +127,7 @@ Accumulators Splitter::create(const AccumulationGroup &group) {
 }
 
 /// Emits the addition of a finished sum to its element.
-void Splitter::emitSum(OpBuilder &builder, const Accumulators &from,
+void Splitter::emitSum(OpBuilder &builder, const FixedPointSums &from,
                        Value number, Value element) {
   Location loc = loop.getLoc();
   if (!from.isOfHalves()) {
@@ -141,7 +141,8 @@ void Splitter::emitSum(OpBuilder &builder, const Accumulators &from,
 /// Emits a call of the device library's function for `pass`. `operand`: the
 /// term, or the address of the element.
 Value Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
-                         const Accumulators &to, Value number, Value operand) {
+                         const FixedPointSums &to, Value number,
+                         Value operand) {
   IndexMath math(builder, loc);
   Value scale =
       emitPointer(builder, loc, builder.getI32Type(), to.scales, number);
@@ -172,7 +173,7 @@ void Splitter::emitPass(ParallelForOp in, Pass pass) {
   for (AtomicOp atomic : atomics) {
     OpBuilder builder(atomic);
     Location loc = atomic.getLoc();
-    const Accumulators &to = all[*atomic.getReductionAttr().getBuffer()];
+    const FixedPointSums &to = all[*atomic.getReductionAttr().getBuffer()];
     Value number = emitSumNumber(builder, atomic, to);
     Value operand =
         pass == Pass::Round
@@ -205,7 +206,8 @@ bool Splitter::hasEffects() {
 /// elements compared with the additions, or the field has 16-bit floats.
 bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups,
                                bool hasEffects) {
-  if (llvm::any_of(all, [](const Accumulators &to) { return to.isOfHalves(); }))
+  if (llvm::any_of(all,
+                   [](const FixedPointSums &to) { return to.isOfHalves(); }))
     return true;
   if (hasEffects)
     return false;
@@ -247,7 +249,7 @@ LogicalResult Splitter::run(ArrayRef<AtomicOp> atomics) {
   }
   OpBuilder builder(loop->getContext());
   builder.setInsertionPointAfter(loop);
-  for (const Accumulators &to : all)
+  for (const FixedPointSums &to : all)
     emitElementLoop(builder, loop.getLoc(), to,
                     [&](OpBuilder &in, Value number, Value element) {
                       emitSum(in, to, number, element);

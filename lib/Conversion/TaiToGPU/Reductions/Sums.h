@@ -9,7 +9,7 @@
 #define TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SUMS_H
 
 #include "tai/Conversion/TaiToGPU/Offload.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 
 namespace mlir::tai {
 

@@ -9,7 +9,7 @@
 #include "PairSums.h"
 #include "tai/ABI/SumModes.h"
 #include "tai/Conversion/TaiToHost/Reductions/TotalForm.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;

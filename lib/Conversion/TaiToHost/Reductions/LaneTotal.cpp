@@ -13,7 +13,7 @@
 
 #include "tai/Conversion/TaiToHost/Lowering.h"
 #include "tai/Conversion/TaiToHost/Reductions/TotalForm.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/SumOrder.h"
 

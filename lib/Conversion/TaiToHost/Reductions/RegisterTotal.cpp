@@ -16,7 +16,7 @@
 #include "tai/ABI/SumModes.h"
 #include "tai/Conversion/TaiToHost/Lowering.h"
 #include "tai/Conversion/TaiToHost/Reductions/TotalForm.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 
 using namespace mlir;
 using namespace mlir::tai;

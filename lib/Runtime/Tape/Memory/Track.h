@@ -16,7 +16,7 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_TRACK_H
 #define TAI_LIB_RUNTIME_TAPE_MEMORY_TRACK_H
 
-#include "StoredOutputs.h"
+#include "StoredSlabs.h"
 #include "tai/Runtime/Launch/Runtime.h"
 #include "tai/Runtime/Mirror/DeviceContext.h"
 #include "tai/Runtime/Mirror/Slabs.h"
@@ -57,7 +57,7 @@ struct Track {
   ActiveListPtr everyCell;
 
   /// The stored outputs of kernels in this field that adjoints may load.
-  StoredOutputs stored;
+  StoredSlabs stored;
 
   /// The track of the field's dual, or null. In forward mode the dual is saved
   /// and restored wherever the field is.

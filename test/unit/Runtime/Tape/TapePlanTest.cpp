@@ -147,8 +147,8 @@ TEST(TapeRecording, KeepsKernelsAlive) {
 // Stored outputs and overwrites
 //===----------------------------------------------------------------------===//
 
-TEST(StoredOutputs, LosesWhatIsStoredAgain) {
-  StoredOutputs outputs;
+TEST(StoredSlabs, LosesWhatIsStoredAgain) {
+  StoredSlabs outputs;
   std::vector<bool> lost;
   auto isLost = [&](uint32_t stamp) {
     return stamp < lost.size() && lost[stamp];
@@ -175,13 +175,13 @@ TEST(StoredOutputs, LosesWhatIsStoredAgain) {
 
 // Compares the records whose stored outputs are overwritten with an enumeration
 // of all stores.
-TEST(StoredOutputs, AgreesWithEnumeration) {
+TEST(StoredSlabs, AgreesWithEnumeration) {
   std::mt19937_64 random(20251128);
   auto pick = [&](int64_t low, int64_t high) {
     return std::uniform_int_distribution<int64_t>(low, high)(random);
   };
   for (int round = 0; round < 2000; ++round) {
-    StoredOutputs outputs;
+    StoredSlabs outputs;
     std::vector<bool> lost;
     // All stores as (record, slabs), and the records whose stores are lost.
     std::vector<std::pair<uint32_t, SlabRange>> stores;

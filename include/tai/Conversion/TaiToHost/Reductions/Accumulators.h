@@ -17,7 +17,7 @@
 #include "tai/Conversion/TaiToHost/Lowering.h"
 #include "tai/Conversion/TaiToHost/Reductions/BufferSums.h"
 #include "tai/Conversion/TaiToHost/Reductions/TotalForm.h"
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include <optional>
 #include <vector>
 

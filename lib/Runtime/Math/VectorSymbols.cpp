@@ -1,11 +1,11 @@
-//===- VectorMath.cpp - Symbols of functions of vectors -------------------===//
+//===- VectorSymbols.cpp - Symbols of functions of vectors ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Runtime/Math/VectorMath.h"
+#include "tai/Runtime/Math/VectorSymbols.h"
 
 using namespace mlir::tai::runtime;
 

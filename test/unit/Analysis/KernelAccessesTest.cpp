@@ -1,11 +1,11 @@
-//===- LaunchAccessesTest.cpp - Accesses of launches ----------------------===//
+//===- KernelAccessesTest.cpp - Accesses of launches ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Analysis/LaunchAccesses.h"
+#include "tai/Analysis/KernelAccesses.h"
 #include "../Utils/ContextTest.h"
 #include "mlir/Parser/Parser.h"
 #include "tai/Analysis/LoopLevels.h"

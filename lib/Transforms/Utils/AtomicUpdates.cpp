@@ -1,11 +1,11 @@
-//===- Accumulate.cpp - Read-modify-write of memory -----------------------===//
+//===- AtomicUpdates.cpp - Read-modify-write of memory --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/AtomicUpdates.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 

@@ -1,4 +1,4 @@
-//===- LaunchAccesses.h - Access summaries of kernels -----------*- C++ -*-===//
+//===- KernelAccesses.h - Access summaries of kernels -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -10,8 +10,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_ANALYSIS_LAUNCHACCESSES_H
-#define TAI_ANALYSIS_LAUNCHACCESSES_H
+#ifndef TAI_ANALYSIS_KERNELACCESSES_H
+#define TAI_ANALYSIS_KERNELACCESSES_H
 
 #include "tai/ABI/LaunchAccesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -54,4 +54,4 @@ std::vector<runtime::StoredBox> findStoredBoxes(KernelOp kernel,
 
 } // namespace mlir::tai
 
-#endif // TAI_ANALYSIS_LAUNCHACCESSES_H
+#endif // TAI_ANALYSIS_KERNELACCESSES_H

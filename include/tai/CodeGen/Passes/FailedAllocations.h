@@ -1,12 +1,12 @@
-//===- LocalMemory.h - Failed allocations on a device -----------*- C++ -*-===//
+//===- FailedAllocations.h - Failed allocations on a device -----*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_CODEGEN_PASSES_LOCALMEMORY_H
-#define TAI_CODEGEN_PASSES_LOCALMEMORY_H
+#ifndef TAI_CODEGEN_PASSES_FAILEDALLOCATIONS_H
+#define TAI_CODEGEN_PASSES_FAILEDALLOCATIONS_H
 
 #include "llvm/IR/Module.h"
 
@@ -18,4 +18,4 @@ void exitOnFailedAllocations(llvm::Module &module);
 
 } // namespace mlir::tai
 
-#endif // TAI_CODEGEN_PASSES_LOCALMEMORY_H
+#endif // TAI_CODEGEN_PASSES_FAILEDALLOCATIONS_H

@@ -1,12 +1,12 @@
-//===- VectorMath.h - Symbols of functions of vectors -----------*- C++ -*-===//
+//===- VectorSymbols.h - Symbols of functions of vectors --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_RUNTIME_MATH_VECTORMATH_H
-#define TAI_RUNTIME_MATH_VECTORMATH_H
+#ifndef TAI_RUNTIME_MATH_VECTORSYMBOLS_H
+#define TAI_RUNTIME_MATH_VECTORSYMBOLS_H
 
 #include <utility>
 #include <vector>
@@ -19,4 +19,4 @@ std::vector<std::pair<const char *, void *>> vectorMathSymbols();
 
 } // namespace mlir::tai::runtime
 
-#endif // TAI_RUNTIME_MATH_VECTORMATH_H
+#endif // TAI_RUNTIME_MATH_VECTORSYMBOLS_H

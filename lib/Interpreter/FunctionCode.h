@@ -1,12 +1,12 @@
-//===- Program.h - A prepared function --------------------------*- C++ -*-===//
+//===- FunctionCode.h - A prepared function ---------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_INTERPRETER_PROGRAM_H
-#define TAI_LIB_INTERPRETER_PROGRAM_H
+#ifndef TAI_LIB_INTERPRETER_FUNCTIONCODE_H
+#define TAI_LIB_INTERPRETER_FUNCTIONCODE_H
 
 #include "Numbers.h"
 #include "mlir/Interfaces/DataLayoutInterfaces.h"
@@ -34,12 +34,13 @@ using Handler = LogicalResult (*)(Run &run, Operation *op);
 
 /// A function to interpret, with the handlers of its operations, and the fields
 /// that it uses.
-class Program {
+class FunctionCode {
 public:
   /// Makes the program of a function to interpret; null, with diagnostics, if
   /// an op of the function is not supported.
-  static std::unique_ptr<Program> create(ModuleOp module, StringRef function,
-                                         const InterpreterOptions &options);
+  static std::unique_ptr<FunctionCode>
+  create(ModuleOp module, StringRef function,
+         const InterpreterOptions &options);
 
   const InterpreterOptions &getOptions() const { return options; }
   FunctionOpInterface getFunction() const { return function; }
@@ -69,4 +70,4 @@ private:
 
 } // namespace mlir::tai::interpreter
 
-#endif // TAI_LIB_INTERPRETER_PROGRAM_H
+#endif // TAI_LIB_INTERPRETER_FUNCTIONCODE_H

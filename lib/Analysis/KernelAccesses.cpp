@@ -1,11 +1,11 @@
-//===- LaunchAccesses.cpp - Access summaries of kernels -------------------===//
+//===- KernelAccesses.cpp - Access summaries of kernels -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Analysis/LaunchAccesses.h"
+#include "tai/Analysis/KernelAccesses.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"

@@ -1,12 +1,12 @@
-//===- Accumulate.h - Read-modify-write of memory ---------------*- C++ -*-===//
+//===- AtomicUpdates.h - Read-modify-write of memory ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_TRANSFORMS_UTILS_ACCUMULATE_H
-#define TAI_TRANSFORMS_UTILS_ACCUMULATE_H
+#ifndef TAI_TRANSFORMS_UTILS_ATOMICUPDATES_H
+#define TAI_TRANSFORMS_UTILS_ATOMICUPDATES_H
 
 #include "tai/Analysis/Reductions/Accumulation.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
@@ -37,4 +37,4 @@ Value emitAtomicUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
 
 } // namespace mlir::tai
 
-#endif // TAI_TRANSFORMS_UTILS_ACCUMULATE_H
+#endif // TAI_TRANSFORMS_UTILS_ATOMICUPDATES_H

@@ -1,4 +1,4 @@
-//===- Decompositions.h - Formulas of matrix decompositions -----*- C++ -*-===//
+//===- MatrixFormulas.h - Formulas of matrix decompositions -----*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -10,8 +10,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_AD_RULES_DECOMPOSITIONS_H
-#define TAI_AD_RULES_DECOMPOSITIONS_H
+#ifndef TAI_AD_RULES_MATRIXFORMULAS_H
+#define TAI_AD_RULES_MATRIXFORMULAS_H
 
 #include "tai/AD/Rules/MatrixHelpers.h"
 
@@ -128,4 +128,4 @@ Value createFactorProductTangent(TangentBuilder &b, MatmulOp product);
 
 } // namespace mlir::tai
 
-#endif // TAI_AD_RULES_DECOMPOSITIONS_H
+#endif // TAI_AD_RULES_MATRIXFORMULAS_H

@@ -1,4 +1,4 @@
-//===- LocalMemory.cpp - Failed allocations on a device -------------------===//
+//===- FailedAllocations.cpp - Failed allocations on a device -------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/CodeGen/Passes/LocalMemory.h"
+#include "tai/CodeGen/Passes/FailedAllocations.h"
 #include "tai/ABI/LocalMemory.h"
 #include "llvm/IR/Dominators.h"
 #include "llvm/IR/IRBuilder.h"

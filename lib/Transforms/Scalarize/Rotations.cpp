@@ -1,4 +1,4 @@
-//===- Decompositions.cpp - SVD, polar, symmetric eigenvalues -------------===//
+//===- Rotations.cpp - SVD, polar, symmetric eigenvalues ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- StoredOutputs.h - Unchanged stored outputs ---------------*- C++ -*-===//
+//===- StoredSlabs.h - Unchanged stored outputs -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,15 +12,15 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDOUTPUTS_H
-#define TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDOUTPUTS_H
+#ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDSLABS_H
+#define TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDSLABS_H
 
 #include "tai/Runtime/Mirror/Slabs.h"
 #include <algorithm>
 
 namespace mlir::tai::runtime {
 
-class StoredOutputs {
+class StoredSlabs {
 public:
   bool any() const { return anyStored; }
 
@@ -80,4 +80,4 @@ private:
 
 } // namespace mlir::tai::runtime
 
-#endif // TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDOUTPUTS_H
+#endif // TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDSLABS_H
