@@ -61,8 +61,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   // show the ranges of their indices.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
-  pm.addPass(createGuardDivisions(divisions));
   addPerFunction(pm, [&](OpPassManager &function) {
+    function.addPass(createGuardDivisions(divisions));
     // Vectorising blocks also omits activity tests and repeated lookups, so
     // both skips must be allowed.
     if (fast && options.skip.has(Skip::ActivityTests) &&

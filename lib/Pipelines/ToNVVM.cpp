@@ -6,6 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "LoweringPasses.h"
+#include "mlir/Dialect/GPU/IR/GPUDialect.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Pass/PassRegistry.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
@@ -40,8 +42,8 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   // show the ranges of their indices.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
-  pm.addPass(createGuardDivisions(divisions));
   addPerFunction(pm, [&](OpPassManager &function) {
+    function.addPass(createGuardDivisions(divisions));
     LowerStructForOptions loops;
     loops.skip = options.skip;
     function.addPass(createLowerStructFor(loops));
@@ -69,8 +71,12 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   gpu.debug = options.debug;
   pm.addPass(createConvertTaiToGPU(gpu));
   if (fast) {
-    pm.addPass(createHoistAllocations());
-    pm.addPass(createCSEPass());
+    auto addTo = [](OpPassManager &function) {
+      function.addPass(createHoistAllocations());
+      function.addPass(createCSEPass());
+    };
+    addTo(pm.nest<gpu::GPUModuleOp>().nest<LLVM::LLVMFuncOp>());
+    addTo(pm.nest<LLVM::LLVMFuncOp>());
   }
 
   ConvertToNVVMOptions nvvm;

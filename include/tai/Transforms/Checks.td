@@ -124,7 +124,7 @@ def CheckBounds : Pass<"tai-check-bounds"> {
   ];
 }
 
-def GuardDivisions : Pass<"tai-guard-divisions", "::mlir::ModuleOp"> {
+def GuardDivisions : Pass<"tai-guard-divisions"> {
   let summary = "define integer division by zero";
   let description = [{
     The `arith` dialect leaves the result of a division of integers by zero

@@ -159,18 +159,23 @@ struct GuardDivisions : tai::impl::GuardDivisionsBase<GuardDivisions> {
 
   void runOnOperation() override {
     bool good = true;
-    for (Operation &function : getOperation().getBodyRegion().getOps()) {
+    auto run = [&](Operation *function) {
       SmallVector<Operation *> divisions;
-      function.walk([&](Operation *op) {
+      function->walk([&](Operation *op) {
         if (isDivision(op))
           divisions.push_back(op);
       });
-      if (divisions.empty() || !isTaiCode(&function))
-        continue;
+      if (divisions.empty() || !isTaiCode(function))
+        return;
       IntegerRanges ranges;
       for (Operation *op : divisions)
         good &= succeeded(Guard(op, ranges, debug).run());
-    }
+    };
+    if (auto module = dyn_cast<ModuleOp>(getOperation()))
+      for (Operation &function : *module.getBody())
+        run(&function);
+    else
+      run(getOperation());
     if (!good)
       signalPassFailure();
   }
