@@ -20,6 +20,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/AD/Passes.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Conversion/ToLLVM/Interfaces.h"
 #include "tai/Dialect/Check/IR/Check.h"
 #include "tai/Dialect/Mesh/IR/Mesh.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -40,6 +41,7 @@ void tai::registerAll(DialectRegistry &registry) {
   registerCheckDialect(registry);
   func::registerInlinerExtension(registry);
   registerDifferentiableModels(registry);
+  registerToLLVMInterfaces(registry);
 }
 
 void tai::registerAllPasses() {

@@ -91,6 +91,11 @@ def LowerLayout : Pass<"tai-lower-layout"> {
     that cannot be converted to an integer, such as NaN, is reported too if it
     is used as an index.
 
+    The pipelines run this pass on the module, not on each kernel: loops of
+    functions that may be inlined into one another need access groups of their
+    own, and groups are taken from a list that the next module uses again,
+    because a context never frees one.
+
     With `on-device`, accesses carry the strides and extents of their indices
     (`tai.digits`), from which `convert-tai-to-gpu` finds the accesses of a
     device function.
@@ -226,7 +231,9 @@ def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
   let description = [{
     The last step. One conversion over upstream's patterns, because each pass
     over a module costs compile time. Sets the float options on all arithmetic
-    first.
+    first. Ops of other dialects that implement upstream's
+    `ConvertToLLVMPatternInterface`, such as `complex` and `index`, are
+    converted by the patterns of their dialect.
 
     The exponential, the logarithm and the hyperbolic tangent of f32 become
     arithmetic that vectorises: with `fast-math` polynomials in f32 (largest

@@ -7,6 +7,7 @@
 
 #include "mlir/Conversion/ArithToLLVM/ArithToLLVM.h"
 #include "mlir/Conversion/ControlFlowToLLVM/ControlFlowToLLVM.h"
+#include "mlir/Conversion/ConvertToLLVM/ToLLVMPass.h"
 #include "mlir/Conversion/FuncToLLVM/ConvertFuncToLLVM.h"
 #include "mlir/Conversion/LLVMCommon/ConversionTarget.h"
 #include "mlir/Conversion/LLVMCommon/TypeConverter.h"
@@ -29,6 +30,7 @@
 #include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Conversion/ToLLVM/FloatOptions.h"
+#include "tai/Conversion/ToLLVM/Interfaces.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -347,6 +349,11 @@ namespace {
 struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   using Base::Base;
 
+  void getDependentDialects(DialectRegistry &registry) const override {
+    Base::getDependentDialects(registry);
+    registerConvertToLLVMDependentDialectLoading(registry);
+  }
+
   void runOnOperation() override {
     ModuleOp module = getOperation();
     MLIRContext *context = &getContext();
@@ -404,6 +411,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     populateFuncToLLVMConversionPatterns(converter, patterns);
 
     LLVMConversionTarget target(*context);
+    populateOwnConversions(lowered.getArrayRef(), target, converter, patterns);
     if (failed(applyPartialConversion(lowered.getArrayRef(), target,
                                       std::move(patterns))) ||
         failed(flushDenormals(module)))
@@ -475,7 +483,7 @@ Type findUnknownFloat(Operation *op) {
   return {};
 }
 
-LogicalResult checkLowerable(Operation *op) {
+LogicalResult checkLowerable(Operation *op, OwnConversions &conversions) {
   // The remedies are for ops of the program, not for device code, which was
   // generated from kernels.
   bool isOnDevice =
@@ -494,7 +502,8 @@ LogicalResult checkLowerable(Operation *op) {
     return failure();
   }
   StringRef dialect = op->getName().getDialectNamespace();
-  if (isLowered(dialect) || dialect == "gpu" || dialect == "nvvm")
+  if (isLowered(dialect) || dialect == "gpu" || dialect == "nvvm" ||
+      conversions.covers(op))
     return success();
   op->emitOpError("is not lowered by this pipeline").attachNote()
       << "run the passes that turn the dialect '" << dialect
@@ -506,7 +515,10 @@ struct CheckLowerable : tai::impl::CheckLowerableBase<CheckLowerable> {
   using Base::Base;
 
   void runOnOperation() override {
-    if (failed(checkLowered(getOperation(), checkLowerable)))
+    OwnConversions conversions;
+    if (failed(checkLowered(getOperation(), [&](Operation *op) {
+          return checkLowerable(op, conversions);
+        })))
       return signalPassFailure();
     markAllAnalysesPreserved();
   }

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "DeviceFloats.h"
+#include "mlir/Conversion/ConvertToLLVM/ToLLVMPass.h"
 #include "mlir/Conversion/GPUToNVVM/GPUToNVVMPass.h"
 #include "mlir/Conversion/LLVMCommon/ConversionTarget.h"
 #include "mlir/Conversion/LLVMCommon/TypeConverter.h"
@@ -19,6 +20,7 @@
 #include "tai/Conversion/TaiToGPU/LoopAccesses.h"
 #include "tai/Conversion/TaiToGPU/Offload.h"
 #include "tai/Conversion/ToLLVM/FloatOptions.h"
+#include "tai/Conversion/ToLLVM/Interfaces.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 
@@ -96,6 +98,11 @@ LogicalResult checkAccurate(Operation *function) {
 struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
   using Base::Base;
 
+  void getDependentDialects(DialectRegistry &registry) const override {
+    Base::getDependentDialects(registry);
+    registerConvertToLLVMDependentDialectLoading(registry);
+  }
+
   void runOnOperation() override {
     for (auto kernels : getOperation().getOps<gpu::GPUModuleOp>())
       if (isTaiCode(kernels) && failed(convert(kernels)))
@@ -142,6 +149,7 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     }
 
     LLVMConversionTarget target(*context);
+    populateOwnConversions(kernels.getOperation(), target, converter, patterns);
     target.addLegalDialect<NVVM::NVVMDialect>();
     target.addLegalOp<gpu::GPUModuleOp>();
     target.addIllegalDialect<gpu::GPUDialect>();

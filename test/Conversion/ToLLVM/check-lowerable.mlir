@@ -10,11 +10,32 @@ tai.kernel @fine(%a: f32) -> f32 {
 
 // -----
 
+// A dialect that converts its ops itself.
+tai.kernel @own(%a: index) -> i64 {
+  %0 = index.mul %a, %a
+  %1 = arith.index_cast %0 : index to i64
+  tai.return %1 : i64
+}
+
+// -----
+
+// The dialect converts others of its ops, and not this one.
+tai.kernel @own_other(%a: f64) -> f64 {
+  %0 = complex.create %a, %a : complex<f64>
+  // expected-error @+2 {{'complex.sin' op is not lowered by this pipeline}}
+  // expected-note @+1 {{run the passes that turn the dialect 'complex' into}}
+  %1 = complex.sin %0 : complex<f64>
+  %2 = complex.re %1 : complex<f64>
+  tai.return %2 : f64
+}
+
+// -----
+
 // An op that could be dropped as well is named at its place.
 tai.kernel @foreign(%a: index) {
-  // expected-error @+2 {{'index.mul' op is not lowered by this pipeline}}
-  // expected-note @+1 {{run the passes that turn the dialect 'index' into those of arith, math, scf, memref, vector and func before}}
-  %0 = index.mul %a, %a
+  // expected-error @+2 {{'shape.mul' op is not lowered by this pipeline}}
+  // expected-note @+1 {{run the passes that turn the dialect 'shape' into those of arith, math, scf, memref, vector and func before}}
+  %0 = shape.mul %a, %a : index, index -> index
   tai.return
 }
 

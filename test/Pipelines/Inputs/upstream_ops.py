@@ -9,6 +9,8 @@ the interpreter does not know the op. The letters of the outcome:
        F: it runs where the optimiser removes the op, and is refused otherwise
     I  the interpreter knows it
     M  a host program with it runs; m: it is refused; N: as F
+    C  tai-opt lowers it by the conversion of its own dialect, which tai-run does not
+       have
     G  its gradient agrees with differences; g: it is refused; -: not asked
 
 A refusal is an error at the line of the op, in terms of the program, after which
@@ -67,7 +69,6 @@ VALUES = {
     ),
     "m42": "%m42 = memref.alloca() : memref<4x2xf64>",
 }
-# No op of this dialect is lowered, so that the number stands on the line of the code.
 COMPLEX = "%z = complex.create %x, %y : complex<f64>"
 COUNT = 5
 HEAD = """
@@ -347,6 +348,15 @@ def main() -> None:
     check_refused(
         "underived", underived, [row.loss() for row in underived], "--tai-autodiff", "--tai-to-llvm"
     )
+
+    # Each in a module of its own, too.
+    converted = [row for row in rows if "C" in row.outcome]
+    path = FOLDER / "converted.mlir"
+    for flag in "--tai-to-llvm", "--tai-to-nvvm":
+        path.write_text("\n// -----\n".join(head + row.forward() for row in converted))
+        result = run(TOOLS / "tai-opt", path, "--split-input-file", flag)
+        if result.returncode:
+            failures.append(f"converted {flag}: {result.stderr[:2000]}")
 
     print("\n".join(failures))
     counts = [len(ran), len(known), len(hosted), len(derived), len(refused), len(underived)]

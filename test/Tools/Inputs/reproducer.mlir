@@ -7,7 +7,7 @@ tai.kernel @fine(%a: f32) -> f32 {
 
 tai.kernel @bad(%a: index) {
   %0 = arith.addi %a, %a : index
-  %1 = index.mul %a, %0
+  %1 = shape.mul %a, %0 : index, index -> index
   %2 = arith.addi %1, %0 : index
   tai.return
 }
