@@ -107,6 +107,11 @@ private:
   LogicalResult lowerContract(vector::ContractionOp contract);
   void lowerReduction(vector::MultiDimReductionOp reduction);
   void lowerOuterProduct(vector::OuterProductOp product);
+  void lowerScan(vector::ScanOp scan);
+  /// For each component of a mask, emits the indices of its element of an array
+  /// that has the chosen components in a row.
+  SmallVector<SmallVector<Value>> emitCounts(ValueRange mask,
+                                             ValueRange indices);
 
   Operation *op;
   ImplicitLocOpBuilder b;
@@ -252,6 +257,54 @@ void Lowering::lowerOuterProduct(vector::OuterProductOp product) {
   replace(product.getResultVectorType(), made);
 }
 
+void Lowering::lowerScan(vector::ScanOp scan) {
+  SmallVector<Value> elements = getElements(scan.getSource());
+  SmallVector<Value> last = getElements(scan.getInitialValue());
+  ArrayRef<int64_t> shape = scan.getSourceType().getShape();
+  int64_t dimension = scan.getReductionDim();
+  SmallVector<int64_t> kept(shape);
+  kept.erase(kept.begin() + dimension);
+  SmallVector<Value> made(elements.size());
+  for (int64_t i = 0, e = shape[dimension]; i != e; ++i)
+    for (size_t k = 0; k != last.size(); ++k) {
+      Position position = at(kept, static_cast<int64_t>(k));
+      position.insert(position.begin() + dimension, i);
+      int64_t own = number(shape, position);
+      // As upstream lowers it, an inclusive scan begins with the first
+      // component, and does not use the initial value.
+      if (i == 0) {
+        made[own] = scan.getInclusive() ? elements[own] : last[k];
+      } else {
+        int64_t term = own;
+        if (!scan.getInclusive()) {
+          --position[dimension];
+          term = number(shape, position);
+        }
+        made[own] = vector::makeArithReduction(b, op->getLoc(), scan.getKind(),
+                                               last[k], elements[term]);
+      }
+      last[k] = made[own];
+    }
+  Value accumulated = last.front();
+  if (auto type = dyn_cast<VectorType>(scan.getInitialValueType()))
+    accumulated = vector::FromElementsOp::create(b, type, last);
+  op->replaceAllUsesWith(ValueRange{
+      vector::FromElementsOp::create(b, scan.getDestType(), made).getResult(),
+      accumulated});
+}
+
+SmallVector<SmallVector<Value>> Lowering::emitCounts(ValueRange mask,
+                                                     ValueRange indices) {
+  SmallVector<SmallVector<Value>> places;
+  SmallVector<Value> place(indices);
+  for (Value chosen : mask) {
+    places.push_back(place);
+    Value count = arith::IndexCastUIOp::create(b, b.getIndexType(), chosen);
+    place.back() = arith::AddIOp::create(b, place.back(), count);
+  }
+  return places;
+}
+
 LogicalResult Lowering::run() {
   if (llvm::any_of(op->getOperandTypes(), isTooLong) ||
       llvm::any_of(op->getResultTypes(), isTooLong))
@@ -303,6 +356,30 @@ LogicalResult Lowering::run() {
          llvm::enumerate(getElements(store.getValueToStore())))
       storeIf(mask[i], element, store.getBase(),
               move(store.getIndices(), at(shape, static_cast<int64_t>(i))));
+    return success();
+  }
+  if (auto load = dyn_cast<vector::ExpandLoadOp>(op)) {
+    SmallVector<Value> mask = getElements(load.getMask());
+    SmallVector<Value> other = getElements(load.getPassThru());
+    SmallVector<SmallVector<Value>> places =
+        emitCounts(mask, load.getIndices());
+    this->load(load.getVectorType(), [&](const Position &position) {
+      int64_t i = position.front();
+      return loadIf(mask[i], load.getBase(), places[i], other[i]);
+    });
+    return success();
+  }
+  if (auto store = dyn_cast<vector::CompressStoreOp>(op)) {
+    SmallVector<Value> mask = getElements(store.getMask());
+    SmallVector<SmallVector<Value>> places =
+        emitCounts(mask, store.getIndices());
+    for (auto [i, element] :
+         llvm::enumerate(getElements(store.getValueToStore())))
+      storeIf(mask[i], element, store.getBase(), places[i]);
+    return success();
+  }
+  if (auto scan = dyn_cast<vector::ScanOp>(op)) {
+    lowerScan(scan);
     return success();
   }
   auto moveBy = [&](ValueRange indices, Value offset) {
@@ -409,6 +486,7 @@ LogicalResult mlir::tai::lowerVectors(func::FuncOp function) {
   SmallVector<Operation *> ops;
   function.walk([&](Operation *op) {
     if (isa<vector::LoadOp, vector::StoreOp, vector::MaskedLoadOp,
+            vector::CompressStoreOp, vector::ExpandLoadOp, vector::ScanOp,
             vector::MaskedStoreOp, vector::GatherOp, vector::ScatterOp,
             vector::TransferReadOp, vector::TransferWriteOp,
             vector::ContractionOp, vector::MultiDimReductionOp,

@@ -113,14 +113,17 @@ static bool isForeign(Operation *op) {
   if (isa<memref::MemRefDialect>(op->getDialect()))
     return !isa<memref::LoadOp, memref::StoreOp, memref::DimOp,
                 memref::GetGlobalOp>(op);
-  return isa<func::CallOp, gpu::LaunchOp, scf::ExecuteRegionOp, scf::ForallOp,
-             scf::IndexSwitchOp, vector::ContractionOp, vector::DeinterleaveOp,
+  return isa<func::CallIndirectOp, func::CallOp, gpu::LaunchOp,
+             scf::ExecuteRegionOp, scf::ForallOp, scf::IndexSwitchOp,
+             vector::CompressStoreOp, vector::ContractionOp,
+             vector::DeinterleaveOp, vector::ExpandLoadOp,
              vector::ExtractStridedSliceOp, vector::GatherOp,
              vector::InsertStridedSliceOp, vector::InterleaveOp, vector::LoadOp,
              vector::MaskedLoadOp, vector::MaskedStoreOp,
              vector::MultiDimReductionOp, vector::OuterProductOp,
-             vector::PrintOp, vector::ScatterOp, vector::StoreOp,
-             vector::TransferReadOp, vector::TransferWriteOp>(op);
+             vector::PrintOp, vector::ScanOp, vector::ScatterOp,
+             vector::StoreOp, vector::TransferReadOp, vector::TransferWriteOp>(
+      op);
 }
 
 static bool isTensor(Type type) { return isa<TensorType>(type); }
@@ -287,6 +290,23 @@ private:
   DenseSet<Operation *> kept;
 };
 } // namespace
+
+/// Makes calls of constant functions direct.
+static void callDirectly(func::FuncOp function) {
+  SmallVector<func::CallIndirectOp> calls;
+  function.walk([&](func::CallIndirectOp call) { calls.push_back(call); });
+  for (func::CallIndirectOp call : calls) {
+    auto callee = call.getCallee().getDefiningOp<func::ConstantOp>();
+    if (!callee)
+      continue;
+    OpBuilder b(call);
+    auto direct =
+        func::CallOp::create(b, call.getLoc(), callee.getValueAttr(),
+                             call.getResultTypes(), call.getCalleeOperands());
+    call.replaceAllUsesWith(direct);
+    call.erase();
+  }
+}
 
 /// True if a function reaches itself by calls.
 static bool callsItself(func::FuncOp function, SymbolTable &symbols) {
@@ -724,7 +744,10 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
   }
 
   LogicalResult lower(func::FuncOp copy) {
-    if (failed(liftBlocks(copy)) || failed(Inlining(getOperation()).run(copy)))
+    callDirectly(copy);
+    SymbolTable symbols(getOperation());
+    if (failed(checkCalls(copy, symbols)) || failed(liftBlocks(copy)) ||
+        failed(Inlining(getOperation()).run(copy)))
       return failure();
     copy.walk([](Operation *op) {
       if (isa<vector::PrintOp, cf::AssertOp, memref::PrefetchOp>(op))

@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "LoopsWithoutOrder.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/IR/Matchers.h"
@@ -37,17 +38,44 @@ static SmallVector<Value> getMovingDimensions(scf::ParallelOp loop) {
   return moving;
 }
 
-/// True if the indices of the loop are the digits of `index`: a step of one of
-/// them moves it further than all those with smaller factors together.
-static bool hasDigits(scf::ParallelOp loop, const IndexExpr &index,
+namespace {
+/// A product of an index of the loop and a size that the loop does not change.
+struct SizedDigit {
+  Value iv;
+  IndexExpr size;
+};
+} // namespace
+
+static std::optional<SizedDigit> matchSizedDigit(scf::ParallelOp loop,
+                                                 const IndexAtom &atom) {
+  const IndexNode *node = atom.getNode();
+  if (!node || node->kind != IndexNode::Kind::Product)
+    return std::nullopt;
+  for (auto [index, size] :
+       {std::pair(node->lhs, node->rhs), std::pair(node->rhs, node->lhs)})
+    for (Value iv : loop.getInductionVars())
+      if (index == IndexExpr(iv) && size.isExact() &&
+          size.allOf(
+              [&](Value value) { return loop.isDefinedOutsideOfLoop(value); }))
+        return SizedDigit{iv, size};
+  return std::nullopt;
+}
+
+/// True if `iv` counts from zero to `size`, with a positive step.
+static bool countsTo(scf::ParallelOp loop, Value iv, const IndexExpr &size) {
+  for (auto [own, lower, upper, step] :
+       llvm::zip(loop.getInductionVars(), loop.getLowerBound(),
+                 loop.getUpperBound(), loop.getStep()))
+    if (own == iv)
+      return getIndexExpr(upper) == size && isConstantIntValue(lower, 0) &&
+             getConstantIntValue(step).value_or(0) > 0;
+  return false;
+}
+
+/// True if `digits`, indices of the loop, are the digits of `index`: a step of
+/// one of them moves it further than all those with smaller factors together.
+static bool areDigits(scf::ParallelOp loop, const IndexExpr &index,
                       ArrayRef<Value> digits) {
-  if (!index.isExact())
-    return false;
-  for (const auto &[atom, factor] : index.terms)
-    if (!llvm::is_contained(digits, atom.getValue()) &&
-        !atom.allOf(
-            [&](Value value) { return loop.isDefinedOutsideOfLoop(value); }))
-      return false;
   // Pairs of the distance of one step, and the distance from the first
   // iteration to the last, or none if that is not known.
   SmallVector<std::pair<int64_t, std::optional<int64_t>>> moves;
@@ -84,6 +112,48 @@ static bool hasDigits(scf::ParallelOp loop, const IndexExpr &index,
   return true;
 }
 
+/// Returns the indices of the loop that `index` determines, as its digits.
+/// Blocks of a size that is not known are digits, too: i * n + j with j < n.
+static SmallVector<Value> findDigits(scf::ParallelOp loop,
+                                     const IndexExpr &index,
+                                     ArrayRef<Value> moving) {
+  if (!index.isExact())
+    return {};
+  SmallVector<Value> digits;
+  std::optional<SizedDigit> block;
+  for (const auto &[atom, factor] : index.terms) {
+    Value value = atom.getValue();
+    if (value && llvm::is_contained(moving, value)) {
+      digits.push_back(value);
+      continue;
+    }
+    if (atom.allOf(
+            [&](Value value) { return loop.isDefinedOutsideOfLoop(value); }))
+      continue;
+    std::optional<SizedDigit> sized = matchSizedDigit(loop, atom);
+    if (!sized || block || std::abs(factor) != 1)
+      return {};
+    block = sized;
+  }
+  if (!block)
+    return areDigits(loop, index, digits) ? digits : SmallVector<Value>();
+  if (digits.size() != 1 || digits.front() == block->iv ||
+      std::abs(index.getCoefficient(digits.front())) != 1 ||
+      !countsTo(loop, digits.front(), block->size))
+    return {};
+  return {digits.front(), block->iv};
+}
+
+/// True if each moving index of the loop is a digit of one of `indices`.
+static bool areAllDigits(scf::ParallelOp loop, ArrayRef<IndexExpr> indices,
+                         ArrayRef<Value> moving) {
+  SmallVector<Value> left(moving);
+  for (const IndexExpr &index : indices)
+    for (Value digit : findDigits(loop, index, moving))
+      llvm::erase(left, digit);
+  return left.empty();
+}
+
 LogicalResult mlir::tai::checkLoopsWithoutOrder(FunctionOpInterface function,
                                                 const Activity &activity) {
   LogicalResult result = success();
@@ -110,9 +180,7 @@ LogicalResult mlir::tai::checkLoopsWithoutOrder(FunctionOpInterface function,
       bool isActive = llvm::any_of(
           stores, [&](auto store) { return activity.isActiveAccess(store); });
       if (!isActive || moving.empty() || isInjectiveOver(common, moving) ||
-          llvm::any_of(common, [&](const IndexExpr &index) {
-            return hasDigits(loop, index, moving);
-          }))
+          areAllDigits(loop, common, moving))
         continue;
       InFlightDiagnostic diag = stores.front()->emitError(
           "iterations of a parallel loop may store to the same element here, "

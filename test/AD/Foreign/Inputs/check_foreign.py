@@ -129,8 +129,8 @@ class Type:
         return made
 
 
-def lower(tools, text, directory, name, level="-O1"):
-    """A shared library of a module."""
+def translate(tools, text, directory, name):
+    """Writes a module as LLVM IR."""
     if "@plain(" in text:
         # No stock pass lowers the function, which another one stands for.
         text = re.sub(r"^( *)func\.func @f\(.*?^\1}\n", "", text, flags=re.S | re.M)
@@ -156,7 +156,11 @@ def lower(tools, text, directory, name, level="-O1"):
     uses_printer = "declare void @_mlir_ciface_printF64" in translated.stdout
     code = re.sub(r"declare void @_mlir_ciface_printF64.*\n", "", translated.stdout)
     (directory / f"{name}.ll").write_text(code + printer if uses_printer else code)
-    library = directory / f"lib{name}.so"
+
+
+def build(tools, directory, name, level="-O1"):
+    """A shared library of a file of LLVM IR."""
+    library = directory / f"lib{name}{level}.so"
     utilities = Path(tools.llvm_lib)
     subprocess.run(
         [
@@ -174,6 +178,12 @@ def lower(tools, text, directory, name, level="-O1"):
         capture_output=True,
     )
     return ctypes.CDLL(str(library))
+
+
+def lower(tools, text, directory, name):
+    """A shared library of a module."""
+    translate(tools, text, directory, name)
+    return build(tools, directory, name)
 
 
 def call(library, name, types, results, values):
