@@ -3,7 +3,8 @@
 They use scf, affine, arith, math, memref, linalg and vector. Every seed gives one `func.func` over
 two arrays, smooth where it is evaluated. A batch of them is one module, which both pipelines must
 take without a crash; with `--compare`, gradients of stock lowering are compared with central
-differences, and values and gradients of code without optimisation with those of `-O3`.
+differences, values and gradients of code without optimisation with those of `-O3`, and those of
+functions whose ops the interpreter knows with its own.
 
     python test/fuzz/foreign.py --seeds 0:2000
     python test/fuzz/foreign.py --seeds 0:40 --compare
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import re
 import subprocess
 import sys
 import tempfile
@@ -246,12 +248,73 @@ def differentiate(tai_opt: str, text: str, pipeline: str) -> str:
     return run.stdout
 
 
-def compare(tools: SimpleNamespace, functions: list[Function], text: str) -> None:
-    """Compares the gradient of each function with differences of the fourth order."""
+LOOPS = (
+    "builtin.module(func.func(convert-linalg-to-loops,lower-affine),"
+    "func.func(convert-vector-to-scf{full-unroll=true},canonicalize,memref-expand))"
+)
+UNKNOWN = "vector.|memref.(subview|copy|cast)"
+
+
+def interpret(tools: SimpleNamespace, text: str, numbers: dict[str, list]) -> int:
+    """Compares with the interpreter what compiled functions did to given arrays.
+
+    `numbers` has arrays before and after each call. Returns the number of calls compared.
+    """
+    copies = re.sub(
+        r"memref\.copy (%\S+), (%\S+) : (\S+) to (\S+)",
+        r"linalg.copy ins(\1 : \3) outs(\2 : \4)",
+        text,
+    )
+    run = subprocess.run(
+        [tools.mlir_opt, f"--pass-pipeline={LOOPS}"], input=copies, capture_output=True, text=True
+    )
+    if run.returncode:
+        sys.exit(f"loops: {run.stderr[:3000]}")
+    bodies = re.findall(r"^  func\.func .*?^  }\n", run.stdout, re.S | re.M)
+    known = [body for body in bodies if not re.search(UNKNOWN, body)]
+    calls = []
+    names = [re.search(r"@(\w+)", body)[1] for body in known]
+    for name in names:
+        given, wanted = numbers[name]
+        calls.append(f"  func.call @call_{name}() : () -> ()\n")
+        lines = [f"%c{i} = arith.constant {i} : index" for i in range(SIZE)]
+        for k, array in enumerate(given):
+            lines.append(f"%a{k} = memref.alloc() : {ARRAY}")
+            for i, value in enumerate(array):
+                lines.append(f"%v{k}_{i} = arith.constant {value:.17e} : f64")
+                lines.append(f"memref.store %v{k}_{i}, %a{k}[%c{i}] : {ARRAY}")
+        arrays = ", ".join(f"%a{k}" for k in range(len(given)))
+        lines.append(f"func.call @{name}({arrays}) : ({', '.join([ARRAY] * len(given))}) -> ()")
+        for k, array in enumerate(wanted):
+            for i, value in enumerate(array):
+                lines.append(f"%w{k}_{i} = arith.constant {value:.17e} : f64")
+                lines.append(f"%g{k}_{i} = memref.load %a{k}[%c{i}] : {ARRAY}")
+                lines.append(f"tai_check.close %g{k}_{i}, %w{k}_{i} tolerance 1.0e-11 : f64")
+            lines.append(f"memref.dealloc %a{k} : {ARRAY}")
+        body = "".join(f"  {line}\n" for line in lines)
+        known.append(f"func.func @call_{name}() {{\n{body}  return\n}}\n")
+    program = "".join(known) + "func.func @main() {\n" + "".join(calls) + "  return\n}\n"
+    with tempfile.NamedTemporaryFile("w", suffix=".mlir") as file:
+        file.write(program)
+        file.flush()
+        run = subprocess.run(
+            [tools.tai_run, "--interpret", file.name], capture_output=True, text=True
+        )
+    if run.returncode:
+        errors = [line for line in run.stderr.splitlines() if "error:" in line]
+        sys.exit("the interpreter differs: " + "\n".join(errors[:5]) + "\n" + program)
+    return len(names)
+
+
+def compare(tools: SimpleNamespace, functions: list[Function], text: str) -> int:
+    """Compares the gradient of each function with differences of the fourth order, and with
+    other ways to run it. Returns the number of functions that the interpreter has run.
+    """
+    numbers = {}
     with tempfile.TemporaryDirectory() as name:
+        check_foreign.translate(tools, text, Path(name), "functions")
         library, plain = (
-            check_foreign.lower(tools, text, Path(name), f"functions{level}", level)
-            for level in ("-O3", "-O0")
+            check_foreign.build(tools, Path(name), "functions", level) for level in ("-O3", "-O0")
         )
     kind = check_foreign.Type(ARRAY)
     rng = np.random.default_rng(1)
@@ -280,6 +343,8 @@ def compare(tools: SimpleNamespace, functions: list[Function], text: str) -> Non
         for fast, slow in zip(after + adjoints, run(before, plain) + differentiate(plain)):
             if not np.allclose(fast, slow, rtol=1e-12, atol=1e-12):
                 sys.exit(f"-O0 and -O3 differ: {function.name}\n{function.text}")
+        numbers[function.name] = (before, after)
+        numbers[f"{function.name}_grad"] = (given + seeds, given + adjoints)
         h = 1e-3
 
         def at(step):
@@ -290,6 +355,7 @@ def compare(tools: SimpleNamespace, functions: list[Function], text: str) -> Non
         got = sum(float(g @ d) for g, d in zip(adjoints, direction))
         if not abs(got - wanted) <= 1e-6 * max(1.0, abs(wanted)):
             sys.exit(f"wrong: {function.name}: {got}, differences say {wanted}\n{function.text}")
+    return interpret(tools, text, numbers)
 
 
 def main() -> None:
@@ -308,17 +374,20 @@ def main() -> None:
         mlir_opt=f"{given.llvm_bin}/mlir-opt",
         translate=f"{given.llvm_bin}/mlir-translate",
         clang=f"{given.llvm_bin}/clang",
+        tai_run=str(Path(given.tai_opt).with_name("tai-run")),
         llvm_lib=os.path.realpath(f"{given.llvm_bin}/../lib"),
     )
     first, last = map(int, given.seeds.split(":"))
+    interpreted = 0
     for begin in range(first, last, given.batch):
         functions = [Function(seed) for seed in range(begin, min(begin + given.batch, last))]
         text = "\n".join(f.text for f in functions)
         made = differentiate(given.tai_opt, text, "--tai-autodiff")
         differentiate(given.tai_opt, text, "--tai-autodiff-forward")
         if given.compare:
-            compare(tools, functions, made)
-    print(f"{last - first} functions: no crash" + (", all gradients right" * given.compare))
+            interpreted += compare(tools, functions, made)
+    right = f", all gradients right; {interpreted} calls interpreted" if given.compare else ""
+    print(f"{last - first} functions: no crash{right}")
 
 
 if __name__ == "__main__":
