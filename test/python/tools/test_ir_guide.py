@@ -52,7 +52,6 @@ def run(command: str, folder: Path) -> subprocess.CompletedProcess:
         "PATH": os.pathsep.join([str(BUILD / "bin"), str(LLVM), os.environ["PATH"]]),
         "TAI": str(BUILD),
         "PKG_CONFIG_PATH": str(BUILD / "lib/pkgconfig"),
-        "LD_LIBRARY_PATH": str(BUILD / "lib"),
         "TAI_CACHE_DIR": str(folder / "cache"),
     }
     return subprocess.run(
