@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Upstream's `convert-to-llvm` leaves an op without a conversion as it is, and
-// converts what stands in it. It must not do so to a kernel, so that the
-// dialects of tai refuse their ops there.
+// converts the ops in its regions. A kernel must not be converted in part, so
+// the dialects of tai refuse their ops there.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,7 +27,7 @@ using namespace mlir::tai;
 static StringRef findLowering(Operation *op) {
   if (isa<GradOp>(op))
     return "tai-expand-gradients";
-  // In a function of another compiler, all else would change its signature.
+  // These passes keep the signature of a function; `tai-to-llvm` changes it.
   if (isa<MatmulOp, TransposeOp, DotOp, SumOp, CrossOp, OuterOp, NormOp,
           TraceOp, DeterminantOp, InverseOp, SolveOp, PolarOp, SvdOp, SymEigOp>(
           op))
