@@ -141,19 +141,38 @@ public:
       if (isCalledByOwn && isTaiCode(function))
         continue;
       function.setPublic();
-      names.push_back(function.getSymNameAttr());
+      kept.push_back({function.getSymNameAttr(), getDerivatives(function)});
     }
   }
 
+  /// Makes the functions private again, and the derivatives that were made of
+  /// them.
   void restore(ModuleOp part) {
     SymbolTable symbols(part);
-    for (StringAttr name : names)
-      if (auto function = symbols.lookup<func::FuncOp>(name))
-        function.setPrivate();
+    for (auto &[name, before] : kept) {
+      auto function = symbols.lookup<func::FuncOp>(name);
+      if (!function)
+        continue;
+      function.setPrivate();
+      for (StringAttr derivative : getDerivatives(function))
+        if (auto made = symbols.lookup<func::FuncOp>(derivative);
+            made && !llvm::is_contained(before, derivative))
+          made.setPrivate();
+    }
   }
 
 private:
-  SmallVector<StringAttr> names;
+  static SmallVector<StringAttr> getDerivatives(func::FuncOp function) {
+    SmallVector<StringAttr> names;
+    for (StringRef attribute : {"tai.adjoint", "tai.tangent", "tai.split"})
+      if (Attribute value = function->getAttr(attribute))
+        value.walk(
+            [&](FlatSymbolRefAttr name) { names.push_back(name.getAttr()); });
+    return names;
+  }
+
+  /// The name of each function, and its derivatives before.
+  SmallVector<std::pair<StringAttr, SmallVector<StringAttr>>> kept;
 };
 } // namespace
 

@@ -106,3 +106,36 @@ func.func @launches(%i: index) -> (f32, f32) {
   %1 = tai.load @x[%i] : f32
   return %0, %1 : f32, f32
 }
+
+// -----
+
+// A loop that reads, and does nothing else, goes; so does one without a body.
+tai.tree @t : !tai.root<pointer<[i: 4], {x: f32}>>
+tai.field @x = @t["x"] : f32, rank 1
+// CHECK-LABEL: tai.kernel @idle_loops(
+//  CHECK-NEXT:   tai.return
+// CHECK-LABEL: tai.kernel @busy_loops(
+// CHECK-COUNT-3: tai.parallel_for
+tai.kernel @idle_loops(%n: index) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+  }
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.addf %0, %0 : f32
+  }
+  tai.return
+}
+tai.kernel @busy_loops(%n: index, %c: i1) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.random stream 0 : f32
+  }
+  tai.parallel_for (%i) in @x {
+    tai.assert %c, "broken"
+  }
+  tai.parallel_for (%i) in @x {
+    tai.print "{}"(%i) : index
+  }
+  tai.return
+}

@@ -70,6 +70,7 @@ void TaiDialect::initialize() {
   addInterfaces<TaiInlinerInterface, PlaceIndex>();
   attachMemoryModels(*getContext());
   attachAsmNames(*getContext());
+  attachTypeInference(*getContext());
   addMarkerFolds(*this);
 }
 
