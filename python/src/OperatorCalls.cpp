@@ -60,8 +60,8 @@ struct OperatorCalls {
   std::vector<size_t> likes;
   py::object emptyLike;
   std::vector<PyObject *> plainTypes;
-  /// The number types of the input tensors of each launch that Python code has
-  /// checked.
+  /// For each launch that Python code has checked: the number type and the
+  /// number of dimensions of each input tensor.
   std::vector<std::vector<PyObject *>> known;
 
   bool isLarge() const { return parameters.size() > mostParameters; }
@@ -73,14 +73,18 @@ struct OperatorCalls {
 };
 
 bool OperatorCalls::isKnown(PyObject *const *inputs) const {
-  static const Name name("dtype");
-  PyObject *types[mostParameters];
+  static const Name name("dtype"), ndim("ndim");
+  PyObject *types[2 * mostParameters];
   size_t count = 0;
   for (size_t i = 0; i < numInputs; ++i) {
     if (!isTensor[i])
       continue;
     // Torch never frees a dtype, so the address identifies it.
     types[count] = take(get(inputs[i], name)).ptr();
+    if (!types[count++])
+      return false;
+    // Python keeps one object for each small integer.
+    types[count] = take(get(inputs[i], ndim)).ptr();
     if (!types[count++])
       return false;
   }

@@ -23,6 +23,7 @@ from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
 from .parameters import asks_for_tape, check_outputs, in_order, kinds_of
 from .stacked import Stacks
+from .writers import check_forms, run_recorded
 
 # Functions of torch that are looked up once, because each look-up costs a notable share of a
 # launch.
@@ -85,6 +86,9 @@ class Operator:
         numbers = [m for m in self._models if m is not None]
         self._likes = numbers if len(numbers) == len(self._models) else None
         self._known: set[tuple] = set()
+        # Those of them whose forward run needs a tape as well, by which iterations that store to
+        # one element are told apart.
+        self._recorded: set[tuple] = set()
         self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
         # A subclass for each operator, so that torch need not pass the operator as an argument.
         self._eager: Any = type("_EagerCall", (_Eager,), {"operator": self})
@@ -286,26 +290,40 @@ class Operator:
         if found is not None:
             return found
         outputs = self._allocate(inputs, torch.zeros)
-        plain, types = [], []
+        plain = []
         for value, is_tensor in zip(inputs, self._is_tensor, strict=True):
             if is_tensor:
                 if value.requires_grad:
                     value = value.detach()  # Torch records nothing of it.
                 if not value.is_contiguous():
                     value = value.contiguous()
-                types.append(value.dtype)
             plain.append(value)
-        kind = tuple(types)
-        if kind in self._known:
-            self._launch(plain, outputs)
-        else:
-            self._launch_first(plain, outputs)
+        kind = _kind_of(plain)
+        if kind not in self._known:
+            self._launch_first(plain, outputs, kind)
             self._known.add(kind)
-            self._note(kind)
+            if kind not in self._recorded:
+                self._note(kind)
+        elif kind in self._recorded:
+            self._launch_recorded(plain, outputs)
+        else:
+            self._launch(plain, outputs)
         return outputs[0] if len(outputs) == 1 else tuple(outputs)
 
-    def _launch_first(self, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+    def _launch_recorded(self, inputs: Sequence[Any], outputs: Sequence[Any]) -> tuple[Any, bool]:
+        """Launches under a tape, see `run_recorded`."""
+        given = _with_gradients(inputs), _with_gradients(outputs)
+        with torch.no_grad():
+            return run_recorded(lambda: self._launch(*given))
+
+    def _launch_first(
+        self, inputs: Sequence[Any], outputs: Sequence[Any], kind: tuple = ()
+    ) -> None:
         """Launches with new types of tensors, and checks that no input is written.
+
+        Args:
+            inputs, outputs: of the launch.
+            kind: the types and numbers of dimensions of the inputs.
 
         Raises:
             TaiRuntimeTypeError: an input is written, or a result comes back in another way.
@@ -313,7 +331,16 @@ class Operator:
         named = zip(self.inputs, inputs, strict=True)
         tensors = {n: t for n, t in named if isinstance(t, torch.Tensor)}
         before = {n: t.clone() for n, t in tensors.items()}
-        answer = self._launch(inputs, outputs)
+        try:
+            answer, is_chosen = self._launch_recorded(inputs, outputs)
+        except (TaiAutodiffError, TaiCompilationError):
+            # Of what has no gradient, only the gradient is an error.
+            for output in outputs:
+                output.zero_()
+            answer, is_chosen = self._launch(inputs, outputs), False
+        if is_chosen:
+            self._recorded.add(kind)
+            self._needs_tape = True
         for name, tensor in tensors.items():
             same = torch.equal(_bytes_of(tensor), _bytes_of(before[name]))
             if not same or self._writes(name):
@@ -393,6 +420,9 @@ class Operator:
             clear_all_gradients()
             with Tape() as tape:
                 self._launch(given, outputs)
+            kind = _kind_of(inputs)
+            if kind not in self._recorded:
+                check_forms(tape, self.__name__, lambda: self._recorded.add(kind))
             tape.grad()
         else:
             try:
@@ -624,6 +654,22 @@ def _find_operator(name: str, identity: tuple) -> Operator:
             "give it a name: wrap(…, name=…)",
         )
     return found
+
+
+def _kind_of(values: Sequence[Any]) -> tuple:
+    """Returns the types and numbers of dimensions of the tensors among inputs."""
+    tensors = [v for v in values if isinstance(v, torch.Tensor)]
+    return tuple([part for t in tensors for part in (t.dtype, t.ndim)])
+
+
+def _with_gradients(values: Sequence[Any]) -> list[Any]:
+    """Returns the values, with tensors of floats as kernels are differentiated by them."""
+    return [
+        v.detach().requires_grad_()
+        if isinstance(v, torch.Tensor) and v.is_floating_point() and not v.requires_grad
+        else v
+        for v in values
+    ]
 
 
 def _stacked(found: list) -> Any:
