@@ -110,7 +110,7 @@ private:
 
 void OtherIterations::find(ArrayRef<DifferentiableAccessInterface> writes,
                            ArrayRef<DifferentiableAccessInterface> reads,
-                           PairFilter isKnown) {
+                           PairFilter isKnown, PairFilter isCertain) {
   Places places(loop);
   llvm::SmallPtrSet<Operation *, 8> reported;
   for (DifferentiableAccessInterface write : writes)
@@ -121,7 +121,8 @@ void OtherIterations::find(ArrayRef<DifferentiableAccessInterface> writes,
           isKnown(write, read) || !places.mayMeet(write, read))
         continue;
       if (!isSame || reported.contains(write) ||
-          !(findRace(write, read) || findExample(write, read))) {
+          !(findRace(write, read) || findExample(write, read) ||
+            isCertain(write, read))) {
         possible.push_back({write, read});
         continue;
       }
@@ -136,9 +137,15 @@ void OtherIterations::report() {
         read->emitError()
         << describeElement(read)
         << " is read here by one iteration of a parallel loop, while another "
-           "one writes it, and the result would depend on which of them comes "
-           "first";
-    Diagnostic &note = diag.attachNote(write->getLoc()) << "written here";
+        << (isa<AtomicOp, memref::AtomicRMWOp>(write.getOperation())
+                ? "one updates it"
+                : "one writes it")
+        << ", and the result would depend on which of them comes first";
+    Diagnostic &note =
+        diag.attachNote(write->getLoc())
+        << (isa<AtomicOp, memref::AtomicRMWOp>(write.getOperation())
+                ? "updated here"
+                : "written here");
     auto show = [](ArrayRef<int64_t> iteration) {
       std::string text;
       llvm::raw_string_ostream stream(text);
@@ -149,8 +156,11 @@ void OtherIterations::report() {
       note << ": iteration " << show(example->rhs) << " reads what iteration "
            << show(example->lhs) << " writes";
     diag.attachNote(loop->getLoc())
-        << "run this loop on one thread ('serialize'), or write to another "
-           "field and copy it in a later loop";
+        << "run this loop on one thread ('serialize'), or "
+        << (isa<AtomicOp, memref::AtomicRMWOp>(write.getOperation())
+                ? "use the value that the update returns, or read the element "
+                  "in a later loop"
+                : "write to another field and copy it in a later loop");
   }
 }
 

@@ -23,9 +23,11 @@ public:
                                              DifferentiableAccessInterface)>;
 
   /// Examines all pairs of a write and a read in the loop, except pairs for
-  /// which `isKnown` holds.
+  /// which `isKnown` holds. Pairs certainly conflict if the indices prove it,
+  /// or `isCertain` holds.
   void find(ArrayRef<DifferentiableAccessInterface> writes,
-            ArrayRef<DifferentiableAccessInterface> reads, PairFilter isKnown);
+            ArrayRef<DifferentiableAccessInterface> reads, PairFilter isKnown,
+            PairFilter isCertain);
 
   bool anyCertain() const { return !certain.empty(); }
   /// Reports the pairs of a write and a read that certainly conflict.

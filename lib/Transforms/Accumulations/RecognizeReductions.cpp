@@ -34,6 +34,7 @@
 #include "SharedUpdate.h"
 #include "SplitComponents.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/IterationOrder.h"
 #include "tai/Analysis/Reductions/Accumulation.h"
@@ -191,20 +192,81 @@ void LoopUpdates::check(DifferentiableAccessInterface store) {
                   "and the result would depend on which of them comes first");
 }
 
+/// True for an atomic whose result depends on all operands. Minima, maxima and
+/// masks only ever come closer to their result.
+static bool isTotal(DifferentiableAccessInterface access) {
+  if (auto update = dyn_cast<memref::AtomicRMWOp>(access.getOperation())) {
+    using Kind = arith::AtomicRMWKind;
+    return llvm::is_contained(
+        {Kind::addf, Kind::addi, Kind::mulf, Kind::muli, Kind::xori},
+        update.getKind());
+  }
+  auto atomic = dyn_cast<AtomicOp>(access.getOperation());
+  if (!atomic)
+    return false;
+  AtomicKind kind = getCombiningKind(atomic.getKind());
+  return kind == AtomicKind::Add || kind == AtomicKind::Mul ||
+         kind == AtomicKind::Xor;
+}
+
+/// True if the value of a read reaches what the loop writes, or where: a total
+/// so far, as in `count[None] += 1; list[count[None]] = i`. Comparisons end
+/// the search, because `if count[None] < n` only saves work.
+static bool leavesData(DifferentiableAccessInterface read, ParallelForOp loop) {
+  SmallVector<OpOperand *> todo;
+  llvm::SmallPtrSet<Value, 16> seen;
+  auto follow = [&](ValueRange values) {
+    for (Value value : values)
+      if (!value.getType().isInteger(1) && seen.insert(value).second)
+        for (OpOperand &use : value.getUses())
+          todo.push_back(&use);
+  };
+  follow(read->getResults());
+  while (!todo.empty()) {
+    OpOperand &use = *todo.pop_back_val();
+    Operation *op = use.getOwner();
+    if (auto access = dyn_cast<DifferentiableAccessInterface>(op);
+        access && access.getAccessKind() != AccessKind::Read) {
+      Value memref = access.getAccessedStorage().memref;
+      if (!memref || isa<BlockArgument>(memref))
+        return true;
+      continue;
+    }
+    if (op->hasTrait<OpTrait::IsTerminator>()) {
+      Operation *parent = op->getParentOp();
+      if (parent == loop)
+        continue;
+      follow(parent->getResults());
+      for (Region &region : parent->getRegions())
+        if (!isa<scf::IfOp>(parent))
+          follow(region.getArguments());
+      continue;
+    }
+    // Bounds of loops and conditions of branches decide; they are no data.
+    if (auto inner = dyn_cast<scf::ForOp>(op)) {
+      if (OpResult result = inner.getTiedLoopResult(&use))
+        follow({result, inner.getTiedLoopRegionIterArg(&use)});
+    } else if (op->getNumRegions() != 0) {
+      for (Region &region : op->getRegions())
+        follow(region.getArguments());
+    } else {
+      follow(op->getResults());
+    }
+  }
+  return false;
+}
+
 /// Finds reads of elements that other iterations write. Atomics on a shared
-/// element commute, and do not count as writes; an atomic on an element that
-/// belongs to its iteration does. `known` are stores that are not updates:
-/// reads of the element that they store are not reported again.
+/// element commute, and do not count as writes, except where the loop keeps a
+/// total so far; an atomic on an element that belongs to its iteration does.
+/// `known` are stores that are not updates: reads of the element that they
+/// store are not reported again.
 OtherIterations
 LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
   SmallVector<DifferentiableAccessInterface> writes, reads;
   auto isWrite = [&](DifferentiableAccessInterface access) {
-    bool isOwn = getSharing(access, loop) == Sharing::Own;
-    if (auto atomic = dyn_cast<AtomicOp>(access.getOperation())) {
-      AtomicKind kind = getCombiningKind(atomic.getKind());
-      return isOwn && (kind == AtomicKind::Add || kind == AtomicKind::Mul ||
-                       kind == AtomicKind::Xor);
-    }
+    if (isTotal(access))
+      return true;
     return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
            llvm::none_of(
                llvm::concat<std::unique_ptr<SharedUpdate>>(updates, owned),
@@ -233,10 +295,28 @@ LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
       found->second = decidesOnlyFlags(read, loop);
     return found->second;
   };
-  others.find(writes, reads, [&](auto write, auto read) {
-    return (llvm::is_contained(known, write) && same.reachSame(write, read)) ||
-           isFlag(write, read);
-  });
+  llvm::DenseMap<Operation *, bool> isData;
+  auto isHint = [&](auto write, auto read) {
+    if (!isTotal(write) || getSharing(write, loop) == Sharing::Own)
+      return false;
+    auto [found, isNew] = isData.insert({read, false});
+    if (isNew)
+      found->second = leavesData(read, loop);
+    return !found->second;
+  };
+  others.find(
+      writes, reads,
+      [&](auto write, auto read) {
+        return isHint(write, read) ||
+               (llvm::is_contained(known, write) &&
+                same.reachSame(write, read)) ||
+               isFlag(write, read);
+      },
+      [&](auto write, auto read) {
+        // All iterations that do it update the element, and there are several.
+        return isTotal(write) && getSharing(write, loop) == Sharing::Certain &&
+               same.reachSame(write, read);
+      });
   return others;
 }
 

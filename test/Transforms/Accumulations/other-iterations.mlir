@@ -10,10 +10,36 @@
 // ONE-NOT: tai.precondition
 // ONE-NOT: tai.assert
 
-tai.tree @t : !tai.root<dense<[i: 64], {x: f32, b: i32}>, dense<[i: 8, j: 8], {z: f32}>>
+tai.tree @t : !tai.root<dense<[i: 64], {x: f32, y: f32, b: i32}>, dense<[i: 8, j: 8], {z: f32}>, {o: f32}>
 tai.field @x = @t["x"] : f32, rank 1
+tai.field @y = @t["y"] : f32, rank 1
 tai.field @b = @t["b"] : i32, rank 1
+tai.field @o = @t["o"] : f32, rank 0
 tai.field @z = @t["z"] : f32, rank 2
+
+// The value of a shared sum that only decides, of a shared minimum, the value
+// that an update returns, and a sum of the iteration's own.
+// CHECK-LABEL: tai.kernel @hints
+// CHECK-NOT: serialize
+tai.kernel @hints() {
+  %c0 = arith.constant 0 : index
+  %one = arith.constant 1.0 : f32
+  %most = arith.constant 9.0 : f32
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @z[%c0, %c0] : f32
+    %1 = arith.cmpf olt, %0, %most : f32
+    scf.if %1 {
+      %2 = tai.atomic add %one, @z[%c0, %c0] : f32
+      tai.store %2, @y[%i] : f32
+    }
+    %3 = tai.atomic min %one, @o[] : f32
+    %4 = tai.load @o[] : f32
+    %5 = tai.atomic add %4, @x[%i] : f32
+    %6 = tai.load @x[%i] : f32
+    tai.store %6, @y[%i] : f32
+  }
+  tai.return
+}
 
 // CHECKS-LABEL: tai.kernel @long
 // CHECKS-SAME: %[[N:.*]]: index

@@ -170,8 +170,25 @@ tai.kernel @prefix() {
     %0 = arith.subi %i, %c1 : index
     // expected-error @+1 {{an element of field '@x' is read here by one iteration}}
     %1 = tai.load @x[%0] : f32
-    // expected-note @+1 {{written here}}
+    // expected-note @+1 {{updated here}}
     %2 = tai.atomic add %1, @x[%i] : f32
+  }
+  tai.return
+}
+
+// A sum to which all iterations add, and its value so far.
+// CHECK-LABEL: tai.kernel @total_so_far
+// CHECK: serialize
+tai.kernel @total_so_far() {
+  // expected-note @+1 {{run this loop on one thread ('serialize'), or use the value that the update returns, or read the element in a later loop}}
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    // expected-note @+1 {{updated here: iteration 1 reads what iteration 0 writes}}
+    %1 = tai.atomic add %0, @o[] : f32
+    // expected-error @+1 {{an element of field '@o' is read here by one iteration of a parallel loop, while another one updates it, and the result would depend on which of them comes first}}
+    %2 = tai.load @o[] : f32
+    %3 = arith.mulf %2, %0 : f32
+    tai.store %3, @y[%i] : f32
   }
   tai.return
 }
