@@ -209,7 +209,7 @@ static bool isTotal(DifferentiableAccessInterface access) {
          kind == AtomicKind::Xor;
 }
 
-/// True if the value of a read reaches what the loop writes, or where: a total
+/// True if the value of a read reaches a value or an index of a write: a total
 /// so far, as in `count[None] += 1; list[count[None]] = i`. Comparisons end
 /// the search, because `if count[None] < n` only saves work.
 static bool leavesData(DifferentiableAccessInterface read, ParallelForOp loop) {

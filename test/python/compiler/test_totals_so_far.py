@@ -167,7 +167,7 @@ def test_total_so_far_that_only_saves_work(n):
 
     @ti.kernel
     def run() -> ti.i32:
-        for i in x:
+        for _ in x:
             if s[None] < 2:
                 j = ti.atomic_add(s[None], 1)
                 if j < 2:

@@ -402,7 +402,7 @@ class Operator:
             except (TaiAutodiffError, TaiCompilationError):
                 if is_recorded:
                     raise
-                # Of what has no gradient, only the gradient is an error.
+                # The call itself is no error where only the gradient is one.
                 self._recorded[kind] = False
                 for result in results:
                     if isinstance(result, np.ndarray):

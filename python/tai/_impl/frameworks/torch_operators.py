@@ -86,8 +86,8 @@ class Operator:
         numbers = [m for m in self._models if m is not None]
         self._likes = numbers if len(numbers) == len(self._models) else None
         self._known: set[tuple] = set()
-        # Those of them whose forward run needs a tape as well, by which iterations that store to
-        # one element are told apart.
+        # Some of them need a tape for the forward run, too: it tells iterations that store to one
+        # element apart.
         self._recorded: set[tuple] = set()
         self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
         # A subclass for each operator, so that torch need not pass the operator as an argument.
@@ -334,7 +334,7 @@ class Operator:
         try:
             answer, is_chosen = self._launch_recorded(inputs, outputs)
         except (TaiAutodiffError, TaiCompilationError):
-            # Of what has no gradient, only the gradient is an error.
+            # The call itself is no error where only the gradient is one.
             for output in outputs:
                 output.zero_()
             answer, is_chosen = self._launch(inputs, outputs), False
