@@ -133,19 +133,16 @@ void OtherIterations::find(ArrayRef<DifferentiableAccessInterface> writes,
 
 void OtherIterations::report() {
   for (auto [write, read] : certain) {
+    bool isTotal = isa<AtomicOp, memref::AtomicRMWOp>(write.getOperation()) &&
+                   getSharing(write, loop) != Sharing::Own;
     InFlightDiagnostic diag =
         read->emitError()
         << describeElement(read)
         << " is read here by one iteration of a parallel loop, while another "
-        << (isa<AtomicOp, memref::AtomicRMWOp>(write.getOperation())
-                ? "one updates it"
-                : "one writes it")
+        << (isTotal ? "one updates it" : "one writes it")
         << ", and the result would depend on which of them comes first";
-    Diagnostic &note =
-        diag.attachNote(write->getLoc())
-        << (isa<AtomicOp, memref::AtomicRMWOp>(write.getOperation())
-                ? "updated here"
-                : "written here");
+    Diagnostic &note = diag.attachNote(write->getLoc())
+                       << (isTotal ? "updated here" : "written here");
     auto show = [](ArrayRef<int64_t> iteration) {
       std::string text;
       llvm::raw_string_ostream stream(text);
@@ -157,7 +154,7 @@ void OtherIterations::report() {
            << show(example->lhs) << " writes";
     diag.attachNote(loop->getLoc())
         << "run this loop on one thread ('serialize'), or "
-        << (isa<AtomicOp, memref::AtomicRMWOp>(write.getOperation())
+        << (isTotal
                 ? "use the value that the update returns, or read the element "
                   "in a later loop"
                 : "write to another field and copy it in a later loop");

@@ -170,7 +170,7 @@ tai.kernel @prefix() {
     %0 = arith.subi %i, %c1 : index
     // expected-error @+1 {{an element of field '@x' is read here by one iteration}}
     %1 = tai.load @x[%0] : f32
-    // expected-note @+1 {{updated here}}
+    // expected-note @+1 {{written here}}
     %2 = tai.atomic add %1, @x[%i] : f32
   }
   tai.return
