@@ -107,7 +107,7 @@ def make_reference(base: Path, scene: str, size: str, out: Path) -> None:
         command, capture_output=True, text=True, cwd=ROOT, env=environment_of(base), check=False
     )
     if done.returncode:
-        raise SystemExit(f"{scene}: no reference:\n{done.stderr[-2000:]}")
+        raise SystemExit(f"{scene}: no reference:\n{done.stderr[-2000:]}\n{base} needs its build")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -10,8 +10,9 @@ each in a process of its own: first errors, over 16 inputs that are an ulp apart
 which they are timed in turns, while all other processes of the session are stopped. With --minutes,
 rounds and inputs become fewer where time is short, and a row says how many there were. Writes
 benchmarks/results/error-<machine>.csv and the page, docs/reports/accuracy.md, which is refused for
-a tree with changes or rows of several commits. Then judges the gates: the exit status is 1 if one
-of them fails.
+a tree with changes or rows of several commits. A session of a part (--quick, --scenes, --systems,
+--modes or --out) replaces neither: its page is build/bench-error/page/accuracy.md. Then judges the
+gates: the exit status is 1 if one of them fails.
 """
 
 from __future__ import annotations
@@ -426,6 +427,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     plain = f"{processor()}, {cores()} cores"
     given.machines = {"cpu": plain, "cuda": f"{plain}, {given.name.upper()}"}
     suffix = "" if is_full else f"-{given.size}"
+    is_whole = is_full and not given.modes and given.out is None
+    is_part = not is_whole or {*ORDER} - {*given.scenes} or {*modes.MODES} - {*given.systems}
+    given.page = given.work.resolve() / "page" if is_part else None
     given.out = given.out or RESULTS
     if given.out.suffix != ".csv":
         given.out = given.out / f"error-{given.name}{suffix}.csv"
@@ -452,7 +456,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     print(f"{given.out}: {len(session.rows)} rows in {time.monotonic() - begin:.0f} s")
     if not given.no_page:
-        print(page.make([given.out]))
+        print(page.make([given.out], given.page))
     return gates.main([str(given.out)])
 
 

@@ -19,6 +19,7 @@ import modes
 import page
 import references
 import rows as table
+import run as bench
 import solve_to
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -80,6 +81,25 @@ def test_columns_and_order(run):
     assert 2e-9 < float(f32["grad_rel"]) < 2e-7 and float(f64["grad_rel"]) < 1e-15
     assert float(f64["error_high"]) < float(f32["error_low"])
     assert 0.3 < float(f32["max_ulp"]) < 4 and float(f64["max_ulp"]) < 4
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--quick"],
+        ["--scenes", "exp,wave"],
+        ["--systems", "tai"],
+        ["--modes", "f32"],
+        ["--out", "x"],
+    ],
+)
+def test_a_part_replaces_no_page(arguments, tmp_path):
+    given = bench.parse([*arguments, "--work", str(tmp_path)])
+    assert given.page == tmp_path / "page"
+
+
+def test_the_whole_replaces_the_page(tmp_path):
+    assert bench.parse(["--minutes", "8", "--work", str(tmp_path)]).page is None
 
 
 def written(folder, rows):
