@@ -18,6 +18,7 @@ from .vectors import get_kernels
 
 # If ‖A r‖ / (‖A‖ ‖r‖) is less than this number, r counts as a vector of the null space.
 _IN_NULL_SPACE = {"f32": 1e-5, "f64": 1e-8}
+_UNIT = {"f32": 2.0**-23, "f64": 2.0**-52}
 
 
 def project(
@@ -84,15 +85,19 @@ def _descend(
         operator.apply(r, s)
         k.copy(p, s)
         square = first = k.dot(s, s)
+        whole = rest = k.dot(r, r)
         goal = (0.1 * _IN_NULL_SPACE[r.dtype.name]) ** 2
+        least = (4 * _UNIT[r.dtype.name]) ** 2
         for _ in range(caller.limit):
-            if not goal * first < square < math.inf:
+            # A r must be small next to r, of which little may be left, and not next to g.
+            if not max(goal * rest / whole, least) * first < square < math.inf:
                 break
             pull(p, q)
             length = k.dot(q, q)
             if not length > 0:
                 break
             k.add(r, q, -square / length)
+            rest = k.dot(r, r)
             operator.apply(r, s)
             last, square = square, k.dot(s, s)
             k.turn(p, s, square / last, q, 0.0)
