@@ -225,8 +225,13 @@ Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
     number = PyLong_AsLongLongAndOverflow(object, &overflow);
   } else {
     PyObject *whole = PyNumber_Index(object);
-    if (!whole)
-      return Match::Error;
+    if (!whole) {
+      // An array of several dimensions: the slow path reports it.
+      if (!PyErr_ExceptionMatches(PyExc_TypeError))
+        return Match::Error;
+      PyErr_Clear();
+      return Match::No;
+    }
     number = PyLong_AsLongLongAndOverflow(whole, &overflow);
     Py_DECREF(whole);
   }

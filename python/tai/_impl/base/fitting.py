@@ -105,7 +105,9 @@ def stored_array(array: np.ndarray, dt: DataType, what: Any) -> np.ndarray:
         TaiRuntimeTypeError: a number that does not fit.
     """
     array = np.asarray(array)
-    if array.dtype.kind in "cmM":
+    if array.dtype.kind in "cmMSU" or (
+        array.dtype.kind == "O" and any(isinstance(v, (str, type(None))) for v in array.flat)
+    ):
         raise _no_numbers(array, dt, what)
     if dt.is_int and array.size and array.dtype.kind in "iuf" and not np.can_cast(
         array.dtype, dt.numpy

@@ -19,6 +19,10 @@ from . import copies
 from .field import Field
 from .shapes import to_shape
 
+GRADIENT_HINT = "make it with needs_grad=True"
+# For the gradient of an array that has none, which is None.
+NONE_HINT = "the grad of a ti.ndarray is None unless it is made with needs_grad=True"
+
 
 class Ndarray(Elements):
     """An array that kernels take, around NumPy memory, indexed like a field.
@@ -82,6 +86,8 @@ class Ndarray(Elements):
 
     @grad.setter
     def grad(self, value: Any) -> None:
+        if self._grad is None:
+            raise TaiRuntimeTypeError("this array has no gradient", GRADIENT_HINT)
         raise TaiRuntimeTypeError(
             "the gradient of an array cannot be replaced", "fill it: a.grad.from_numpy(array)"
         )
@@ -142,6 +148,8 @@ class Ndarray(Elements):
         return pieces.copied(self.array)
 
     def from_numpy(self, array: Any) -> None:
+        if array is None:
+            raise TaiRuntimeTypeError(f"from_numpy expects an array, but got {array}", NONE_HINT)
         with self._refusing(..., array):
             array = np.asarray(array)
         if array.shape != self.array.shape:
@@ -159,6 +167,8 @@ class Ndarray(Elements):
 
     def _stored(self, value: Any) -> Any:
         """Converts numbers from Python to the type of the array."""
+        if value is None:
+            raise TaiRuntimeTypeError(f"it holds numbers of type {self.dtype}", NONE_HINT)
         if np.ndim(value) == 0 and is_number(value):
             value = value.item() if hasattr(value, "item") else value
             return fitting.stored(value, self.dtype, "the array")
@@ -171,7 +181,7 @@ class Ndarray(Elements):
         if not isinstance(other, (Ndarray, Field)) or hasattr(other, "members"):
             raise TaiRuntimeTypeError(
                 f"copy_from expects a ti.ndarray or a field, but got {type(other).__name__}",
-                "copy a NumPy array by from_numpy(array)",
+                NONE_HINT if other is None else "copy a NumPy array by from_numpy(array)",
             )
         if tuple(other.shape) + tuple(other.element_shape) != self.array.shape:
             raise TaiRuntimeTypeError(

@@ -145,6 +145,11 @@ class Expressions(Part):
                 f"'{name}' holds whole numbers, which have no gradient",
                 "a field of floats, such as ti.f32, has one with needs_grad=True",
             )
+        if base is None:
+            raise TaiTypeError(
+                f"'{ast.unparse(node.value)}' is None, which has no elements",
+                "the grad of a ti.ndarray is None unless it is made with needs_grad=True",
+            )
         if has_value(key):
             if getattr(base, "is_matrix", False):
                 return self.emitter.as_value(base)[key]

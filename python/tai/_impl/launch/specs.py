@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import TaiAutodiffError, TaiRuntimeTypeError
 from ..base import dtypes, state
-from ..fields.arrays import Ndarray
+from ..fields.arrays import NONE_HINT, Ndarray
 from ..fields.field import Field
 from ..history import torch_graphs
 from ..tracking import tangents, tracked
@@ -185,6 +185,7 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> 
             if isinstance(value, Field)
             else ("np.array(…) makes one of a list" if isinstance(value, (list, tuple)) else None)
         )
+        hint = NONE_HINT if value is None else hint
         found = f"field '{value.name}'" if isinstance(value, Field) else type(value).__name__
         found = "None" if value is None else found
         raise TaiRuntimeTypeError(f"{what} expects an array, but got {found}", hint)
