@@ -89,6 +89,35 @@ bool mlir::tai::areDistinct(const IndexExpr &lhs, const IndexExpr &rhs) {
   return !form.canBeZero(difference.width);
 }
 
+bool mlir::tai::areDistinctOver(const IndexExpr &lhs, const IndexExpr &rhs,
+                                Operation *loop) {
+  auto isOutside = [&](Value value) {
+    return !loop->isAncestor(value.getParentBlock()->getParentOp());
+  };
+  // Values from outside of the loop are the same on both sides. Each other atom
+  // has a value of its own on each side.
+  IndexExpr outside;
+  outside.constant = lhs.constant;
+  outside.add(IndexExpr(rhs.constant), -1);
+  IndexBuilder builder;
+  IndexDifference form;
+  for (auto [side, sign] : {std::pair{&lhs, 1}, std::pair{&rhs, -1}})
+    for (const auto &[atom, factor] : side->terms) {
+      if (factor == INT64_MIN)
+        return false;
+      if (atom.allOf(isOutside))
+        outside.add(IndexExpr(atom), sign * factor);
+      else
+        form.addUnknown(sign * factor, builder.getRange(atom));
+    }
+  if (outside.terms.size() > kMostUnknowns)
+    return false;
+  form.addConstant(outside.constant);
+  for (const auto &[atom, factor] : outside.terms)
+    form.addUnknown(factor, builder.getRange(atom));
+  return !form.canBeZero(std::min(lhs.width, rhs.width));
+}
+
 //===----------------------------------------------------------------------===//
 // Equations
 //===----------------------------------------------------------------------===//

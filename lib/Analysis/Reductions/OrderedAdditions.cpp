@@ -11,6 +11,7 @@
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Index/IndexQueries.h"
 #include "tai/Analysis/Reductions/Accumulation.h"
 
 using namespace mlir;
@@ -390,4 +391,31 @@ bool tai::canQueueAdditions(ParallelForOp loop, FieldTable &fields,
                             const ReductionPlan &plan) {
   Checker checker(loop, fields, plan);
   return checker.run() && checker.haveElementsOfTheirOwn();
+}
+
+/// Updates of a field at more places than these are not compared in pairs.
+static constexpr size_t kMostPlaces = 8;
+
+bool tai::haveOwnElements(ParallelForOp loop, ArrayRef<AtomicOp> atomics) {
+  SmallVector<ValueRange> places;
+  for (AtomicOp atomic : atomics) {
+    ValueRange indices = atomic.getIndices();
+    if (llvm::none_of(places, [&](ValueRange place) {
+          return llvm::equal(place, indices);
+        }))
+      places.push_back(indices);
+    if (places.size() > kMostPlaces)
+      return false;
+  }
+  for (auto [i, a] : llvm::enumerate(places)) {
+    if (!isInjective(loop, a))
+      return false;
+    for (ValueRange b : ArrayRef(places).take_front(i))
+      if (llvm::none_of(llvm::zip_equal(a, b), [&](auto pair) {
+            return areDistinctOver(getIndexExpr(std::get<0>(pair)),
+                                   getIndexExpr(std::get<1>(pair)), loop);
+          }))
+        return false;
+  }
+  return true;
 }

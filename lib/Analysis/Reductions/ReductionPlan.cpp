@@ -314,19 +314,17 @@ bool Planner::isWorthWide(const AccumulationGroup &group) {
 /// updates stay atomic.
 StringRef Planner::planField(FieldAccesses &accesses) {
   SmallVector<AtomicOp> &atomics = accesses.atomics;
-  auto sameElement = [&](AtomicOp atomic) {
-    return llvm::equal(atomic.getIndices(), atomics.front().getIndices());
-  };
   // Where a branch was turned into a select, a plain update adds zero in
   // iterations that do not take the branch, and could overwrite a store of
   // another iteration.
-  bool meetsStore = llvm::any_of(accesses.others, [&](Operation *other) {
-    ValueRange indices = atomics.front().getIndices();
-    return isa<StoreOp>(other) && !llvm::equal(getIndices(other), indices) &&
-           mayReach(getIndices(other), indices);
-  });
-  if (llvm::all_of(atomics, sameElement) && !meetsStore &&
-      isInjective(loop, atomics.front().getIndices())) {
+  auto meetsStore = [&](AtomicOp atomic) {
+    ValueRange indices = atomic.getIndices();
+    return llvm::any_of(accesses.others, [&](Operation *other) {
+      return isa<StoreOp>(other) && !llvm::equal(getIndices(other), indices) &&
+             mayReach(getIndices(other), indices);
+    });
+  };
+  if (haveOwnElements(loop, atomics) && llvm::none_of(atomics, meetsStore)) {
     for (AtomicOp atomic : atomics)
       plan.updates[atomic].isExclusive = true;
     return "";

@@ -17,6 +17,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/Index/IndexBuilder.h"
 #include "tai/Analysis/IndexBounds.h"
 #include "tai/Analysis/IterationOrder.h"
@@ -457,6 +458,20 @@ static void version(ParallelForOp loop, const RangeDecider &decider,
   loop->moveBefore(branch.elseBlock(), branch.elseBlock()->begin());
 }
 
+/// Whether `value` is computed from `iv` and values from outside of the loop,
+/// without memory.
+static bool follows(ParallelForOp loop, Value value, Value iv,
+                    unsigned depth = 16) {
+  if (value == iv)
+    return true;
+  Operation *op = value.getDefiningOp();
+  return op && depth != 0 && !loop.isDefinedOutsideOfLoop(value) &&
+         op->getNumRegions() == 0 && isMemoryEffectFree(op) &&
+         llvm::any_of(op->getOperands(), [&](Value operand) {
+           return follows(loop, operand, iv, depth - 1);
+         });
+}
+
 /// Whether iterations add to one element: several loops would add in another
 /// order than one.
 static bool hasSum(ParallelForOp loop) {
@@ -467,7 +482,7 @@ static bool hasSum(ParallelForOp loop) {
           return WalkResult::advance();
         bool isOwn = llvm::all_of(loop.getInductionVars(), [&](Value iv) {
           return llvm::any_of(access.getAccessIndices(), [&](Value index) {
-            return getIndexExpr(index).mentions(iv);
+            return follows(loop, index, iv);
           });
         });
         return isOwn ? WalkResult::advance() : WalkResult::interrupt();

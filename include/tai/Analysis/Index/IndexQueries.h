@@ -39,6 +39,11 @@ private:
 /// values in the same iteration of the loops around them.
 bool areDistinct(const IndexExpr &lhs, const IndexExpr &rhs);
 
+/// True if `lhs` in one iteration of `loop` and `rhs` in the same or another
+/// one certainly have different values, as 2 * i and 2 * i + 1 have.
+bool areDistinctOver(const IndexExpr &lhs, const IndexExpr &rhs,
+                     Operation *loop);
+
 /// Equations between two iterations of a loop, the first side in one iteration
 /// and the second side in the other, and the equations that follow: a number
 /// and its digits determine each other. Values from outside of the loop, and

@@ -47,6 +47,10 @@ bool canAddInAnyOrder(ParallelForOp loop, FieldTable &fields,
                       const ReductionPlan &plan,
                       SmallVectorImpl<AtomicOp> &additions);
 
+/// True if no two iterations of `loop` update the same element by `atomics`,
+/// updates of one field.
+bool haveOwnElements(ParallelForOp loop, ArrayRef<AtomicOp> atomics);
+
 } // namespace mlir::tai
 
 #endif // TAI_ANALYSIS_REDUCTIONS_ORDEREDADDITIONS_H

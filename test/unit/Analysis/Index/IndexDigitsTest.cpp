@@ -364,3 +364,37 @@ TEST_F(IndexDigitsTest, RowsAroundARing) {
   IndexExpr flat = builder.get(place(true));
   EXPECT_TRUE(llvm::is_contained(equations.get(), std::pair(flat, flat)));
 }
+
+// Two indices that differ in any two iterations, by all pairs of iterations.
+TEST_F(IndexDigitsTest, DistinctOverIterations) {
+  int distinct = 0;
+  for (int round = 0; round != 400; ++round) {
+    int64_t lower = pick(-3, 3), upper = lower + pick(1, 9);
+    start(lower, upper, 0, 1);
+    Value i = loop.getInductionVars()[0], n = arguments[0];
+    int64_t factors[] = {pick(-4, 4), pick(-4, 4)};
+    int64_t constants[] = {pick(-9, 9), pick(-9, 9)};
+    bool hasArgument[] = {chance(40), chance(40)};
+    IndexBuilder builder;
+    IndexExpr sides[2];
+    for (int k : {0, 1}) {
+      sides[k] = IndexExpr(constants[k]);
+      sides[k].add(IndexExpr(i), factors[k]);
+      if (hasArgument[k])
+        sides[k].add(IndexExpr(n), 2);
+    }
+    bool found = areDistinctOver(sides[0], sides[1], loop);
+    distinct += found;
+    for (int64_t a = lower; a != upper; ++a)
+      for (int64_t b = lower; b != upper; ++b)
+        for (int64_t value = -4; value != 5; ++value) {
+          int64_t x =
+              constants[0] + factors[0] * a + 2 * value * hasArgument[0];
+          int64_t y =
+              constants[1] + factors[1] * b + 2 * value * hasArgument[1];
+          if (found)
+            ASSERT_NE(x, y);
+        }
+  }
+  EXPECT_GT(distinct, 30);
+}
