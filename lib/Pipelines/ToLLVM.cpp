@@ -100,6 +100,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
       jam.reassociate = options.fastMath;
       function.addPass(createUnrollAndJam(jam));
     }
+    if (!options.shadow && options.skip.has(Skip::ZeroAdjoints))
+      pm.addPass(createSkipZeroBlocks());
   }
 
   ConvertToLLVMOptions llvm;

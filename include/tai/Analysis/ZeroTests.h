@@ -12,6 +12,10 @@
 
 namespace mlir::tai {
 
+/// Marks a branch whose then arm is the else arm without guards, for inputs
+/// that need none. Without the mark, both arms count as code of their own.
+constexpr llvm::StringLiteral kGuardVersions = "tai.guard_versions";
+
 /// The value that the condition of `select` compares with zero; null if the
 /// condition is no comparison with zero.
 Value getTestedForZero(arith::SelectOp select);

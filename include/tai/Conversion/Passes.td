@@ -134,6 +134,42 @@ def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
                            "::mlir::tai::TaiRTDialect"];
 }
 
+def SkipZeroBlocks : Pass<"tai-skip-zero-blocks", "::mlir::ModuleOp"> {
+  let summary = "skip blocks of reverse iterations whose adjoints are zero";
+  let description = [{
+    Divides the innermost parallel loop of an adjoint into blocks, if its only
+    effects are to add to adjoints products of adjoints that it loads. A block
+    runs if one of these is not zero. Other factors of the products must be
+    finite; so a block also runs if a number that they are computed from is
+    infinite, NaN or huge. Loops with less arithmetic than `min-nanoseconds` an
+    iteration stay as they are.
+
+    ```mlir
+    scf.for %i = %lo to %hi step %c1 {
+      %g = llvm.load %gy_i {tai.adjoint_access}
+      // gx[i] += %g * ...
+    }
+    // becomes
+    scf.for %b = %lo to %hi step %c128 {
+      %end = arith.minsi ... // %b + 128, or %hi
+      %any = ... // a load of gy in [%b, %end) is not zero
+      scf.if %any {
+        scf.for %i = %b to %end step %c1 {
+          // gx[i] += %g * ...
+        }
+      }
+    }
+    ```
+  }];
+  let options = [
+    Option<"minNanoseconds", "min-nanoseconds", "double", /*default=*/"8",
+           "Least estimated cost of the arithmetic of an iteration">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
 def ConvertTaiToGPU : Pass<"convert-tai-to-gpu", "::mlir::ModuleOp"> {
   let summary = "split kernels into device functions and host code that launches them";
   let description = [{

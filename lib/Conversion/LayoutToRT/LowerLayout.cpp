@@ -13,6 +13,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../AdjointAccess.h"
 #include "AccessLowering.h"
 #include "LocalArrays.h"
 #include "StridedOrder.h"
@@ -472,6 +473,35 @@ static LogicalResult lowerAccesses(FunctionOpInterface function,
                  succeeded(lowerEach(arrays, lowerings)));
 }
 
+/// Collects the names that FieldTable gives the alias scopes of adjoints.
+static DenseSet<Attribute> collectAdjoints(Operation *table) {
+  SymbolTable symbols(table);
+  DenseSet<Attribute> names;
+  for (FieldOp field : table->getRegion(0).getOps<FieldOp>()) {
+    FlatSymbolRefAttr name = field.getAdjointAttr();
+    auto adjoint = name ? symbols.lookup<FieldOp>(name.getAttr()) : FieldOp();
+    if (adjoint)
+      names.insert(StringAttr::get(
+          table->getContext(), adjoint.getTree() + "." + adjoint.getPlace()));
+  }
+  return names;
+}
+
+/// Marks the accesses in `function` to adjoints of fields.
+static void markAdjointAccesses(FunctionOpInterface function,
+                                const DenseSet<Attribute> &adjoints) {
+  if (adjoints.empty())
+    return;
+  function->walk([&](LLVM::AliasAnalysisOpInterface access) {
+    ArrayAttr own = access.getAliasScopesOrNull();
+    if (own && llvm::any_of(own.getAsRange<LLVM::AliasScopeAttr>(),
+                            [&](LLVM::AliasScopeAttr scope) {
+                              return adjoints.contains(scope.getId());
+                            }))
+      access->setAttr(kAdjointAccess, UnitAttr::get(access->getContext()));
+  });
+}
+
 namespace {
 struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
   using Base::Base;
@@ -481,6 +511,7 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
     if (!table)
       return;
     FieldTable fields(table);
+    DenseSet<Attribute> adjoints = collectAdjoints(table);
     // Functions of one module may be inlined into one another, so their access
     // groups must differ; only a run over the whole module can ensure that.
     if (isa<ModuleOp>(getOperation()))
@@ -498,9 +529,11 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
       // accesses, and no other check.
       bool isChecked = boundsCheck || isa<func::FuncOp>(function);
       AccessLowering lowering(function, fields, groups, isChecked, onDevice);
-      return failed(lowerAccesses(function, fields, lowering, onDevice))
-                 ? WalkResult::interrupt()
-                 : WalkResult::skip();
+      if (failed(lowerAccesses(function, fields, lowering, onDevice)))
+        return WalkResult::interrupt();
+      if (!onDevice)
+        markAdjointAccesses(function, adjoints);
+      return WalkResult::skip();
     });
     if (result.wasInterrupted())
       signalPassFailure();

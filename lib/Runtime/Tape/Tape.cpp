@@ -219,6 +219,9 @@ Status Tape::sweep() {
     tape.lost.find(tape.services, tape.recording,
                    tape.seeds.liveFields(false, tape.holds), notes);
   bool isOutOfMemory = false;
+  const SkipCounters &counters = tape.services.owner().skipCounters();
+  int64_t visited = counters.get(SkipCount::FlaggedVisited);
+  int64_t skipped = counters.get(SkipCount::FlaggedSkipped);
   try {
     status = runPlan();
   } catch (...) {
@@ -226,6 +229,9 @@ Status Tape::sweep() {
     // before the exception goes on.
     isOutOfMemory = true;
   }
+  tape.report.noteZeroAdjoints(
+      counters.get(SkipCount::FlaggedVisited) - visited,
+      counters.get(SkipCount::FlaggedSkipped) - skipped);
   if (!tape.rematerialiser.isOn())
     tape.memory.endReverse();
   tape.topology.endReverse(notes);
@@ -368,6 +374,7 @@ const std::string &Tape::explain() {
   if (planHolds(/*cleared=*/true) && tape.isDirect() &&
       tape.direct.findReverse(tape.plan, tape.forms))
     tape.report.addDirect(tape.plan.replayed().size(), "adjoints");
+  tape.report.addZeroAdjoints();
   // Reports the ways in which a device runs the sequences of launches.
   if (const DeviceQueue *queue = tape.services.owner().getDeviceQueue())
     tape.report.add(queue->explain());

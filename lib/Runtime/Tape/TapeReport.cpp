@@ -196,6 +196,15 @@ void TapeReport::addDirect(size_t count, const char *what) {
           " one after another, without a look between them\n";
 }
 
+void TapeReport::addZeroAdjoints() {
+  auto [visited, skipped] = zeroAdjoints;
+  if (visited + skipped != 0)
+    text += "of " + std::to_string(visited + skipped) +
+            " iterations of loops that look for adjoints, the last sweep "
+            "skipped " +
+            std::to_string(skipped) + " because their adjoints are zero\n";
+}
+
 void TapeReport::checkEffect(const TapeRecording &recording,
                              const TapePlan &plan, const std::string &losses,
                              bool hasWanted) {

@@ -26,6 +26,13 @@ public:
   /// directly.
   void addDirect(size_t count, const char *what);
   void add(const std::string &lines) { text += lines; }
+  /// Keeps the numbers of iterations that the last sweep ran and skipped in
+  /// loops that look for zero adjoints.
+  void noteZeroAdjoints(int64_t visited, int64_t skipped) {
+    zeroAdjoints = {visited, skipped};
+  }
+  /// Adds a line with these numbers, if there are any.
+  void addZeroAdjoints();
   const std::string &get() const { return text; }
 
   /// Adds a warning if a sweep with losses had nothing to do.
@@ -34,6 +41,7 @@ public:
 
 private:
   std::string text;
+  std::pair<int64_t, int64_t> zeroAdjoints;
 };
 
 } // namespace mlir::tai::runtime

@@ -52,6 +52,7 @@ scf::IfOp tai::createVersions(Operation *begin, Value condition,
   Location loc = condition.getLoc();
   auto branch = scf::IfOp::create(builder, loc, types, condition,
                                   /*withElseRegion=*/true);
+  branch->setAttr(kGuardVersions, builder.getUnitAttr());
   Block *fast = branch.thenBlock(), *guarded = branch.elseBlock();
   if (types.empty()) {
     fast->getTerminator()->erase();

@@ -50,6 +50,8 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.access_group", Kind::Any},
     {"tai.accesses", Kind::Numbers},
     {"tai.active", Kind::Unit},
+    {"tai.adjoint_access", Kind::Unit},
+    {"tai.guard_versions", Kind::Unit},
     {"tai.digits", Kind::Numbers},
     {"tai.in_range", Kind::Unit},
     {"tai.independent", Kind::Unit},
