@@ -256,7 +256,7 @@ void Tape::forgetUnwanted() {
   if (tape.wanted.empty())
     return;
   for (const FieldPtr &field : tape.services.fields()) {
-    const FieldPtr &adjoint = TapedField::adjoint(*field);
+    const FieldPtr &adjoint = field->sharedAdjoint();
     if (!adjoint || !adjoint->valid() || !adjoint->dirty() ||
         !tape.holds.has(adjoint) || tape.seeds.has(*field) ||
         std::find(tape.wanted.begin(), tape.wanted.end(), field) !=

@@ -155,16 +155,6 @@ private:
   Runtime &runtime;
 };
 
-/// Gives the parts of a tape access to operations of fields that only they use.
-struct TapedField {
-  static const TreePtr &tree(const Field &field) { return field.sharedTree(); }
-  static const FieldPtr &adjoint(const Field &field) {
-    return field.sharedAdjoint();
-  }
-  static uint64_t hostVersion(const Field &field) { return field.version(); }
-  static void setClean(Field &field) { field.markClean(); }
-};
-
 /// Owns a launch object for a reverse sweep or a replay.
 class HeldLaunch {
 public:

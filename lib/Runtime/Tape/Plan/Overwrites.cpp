@@ -234,7 +234,7 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording) {
   }
   for (Used &entry : used)
     if (std::shared_ptr<const OwedZeros> zeros = entry.take(*entry.field))
-      result.storedOnce.emplace_back(TapedField::adjoint(*entry.field),
+      result.storedOnce.emplace_back(entry.field->sharedAdjoint(),
                                      std::move(zeros));
   return result;
 }

@@ -29,7 +29,7 @@ Status TapeHolds::add(const FieldPtr &field, HoldKind kind) {
     const char zeros[8] = {};
     field->settleZeros();
     services.perform({HostWrite::What::Fill, field.get(), zeros});
-    TapedField::setClean(*field);
+    field->markClean();
   }
   return status;
 }
@@ -52,8 +52,8 @@ Status TapeHolds::add(const Kernel &kernel) {
   // the gradients of changed fields as this tape's own.
   if (reads && changes)
     for (const Access &access : kernel.summary())
-      if (status && TapedField::adjoint(*access.field))
-        status = add(TapedField::adjoint(*access.field), gradientKind());
+      if (status && access.field->sharedAdjoint())
+        status = add(access.field->sharedAdjoint(), gradientKind());
   return status;
 }
 

@@ -323,7 +323,7 @@ Status Tape::recordActivity(const TreePtr &tree,
                             std::function<Status()> change) {
   watch(tree);
   for (const FieldPtr &field : parts->services.fields()) {
-    if (TapedField::tree(*field) != tree || field->isAdjoint() ||
+    if (field->sharedTree() != tree || field->isAdjoint() ||
         !field->sparseNode())
       continue;
     Status status = parts->holds.add(field, HoldKind::Write);

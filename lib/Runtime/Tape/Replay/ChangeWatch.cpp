@@ -13,7 +13,7 @@ void ChangeWatch::begin(const TapeMemory &memory) {
   versions.clear();
   for (const FieldPtr &field : services.fields())
     if (memory.isTouched(*field))
-      versions.emplace_back(field, TapedField::hostVersion(*field));
+      versions.emplace_back(field, field->version());
   endLaunch = services.nextLaunch();
 }
 
@@ -30,7 +30,7 @@ Status ChangeWatch::check(const TapeMemory &memory,
   lostStored = false;
   std::vector<Field *> byHost, byKernels;
   for (const auto &[field, version] : versions)
-    if (TapedField::hostVersion(*field) != version)
+    if (field->version() != version)
       byHost.push_back(field.get());
   services.forEachKernel([&](Kernel &kernel) {
     // A kernel without code has not run, and its summary of accesses may be

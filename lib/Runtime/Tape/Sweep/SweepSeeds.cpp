@@ -49,7 +49,7 @@ Status SweepSeeds::add(FieldPtr loss, TapeHolds &holds) {
                            "the loss '" + loss->name() + "' is given twice");
   // The reverse sweep sets the adjoint of the loss, which this thread must be
   // allowed to do, and then adds to it.
-  FieldPtr adjoint = TapedField::adjoint(*loss);
+  FieldPtr adjoint = loss->sharedAdjoint();
   Status status = services.checkHold(*loss, HoldKind::Write);
   if (status)
     status = holds.add(loss, HoldKind::Add);
@@ -121,7 +121,7 @@ std::vector<Field *> SweepSeeds::liveFields(bool cleared,
   std::vector<Field *> live;
   for (const FieldPtr &field : services.fields())
     if (field->adjoint() &&
-        (has(*field) || mayBeNonzero(TapedField::adjoint(*field))))
+        (has(*field) || mayBeNonzero(field->sharedAdjoint())))
       live.push_back(field.get());
   return live;
 }
