@@ -22,6 +22,12 @@ namespace mlir::tai::runtime {
 
 enum class AccessKind : uint8_t { Read, Write, Accumulate };
 
+/// The signed number that the low `bits` bits of `number` hold.
+inline int64_t signExtend(uint64_t number, int64_t bits) {
+  auto unused = static_cast<unsigned>(64 - bits);
+  return static_cast<int64_t>(number << unused) >> unused;
+}
+
 /// A summand of an index: a signed integer argument of the launch, which has
 /// `bits` bits, times a factor.
 struct LaunchTerm {
@@ -30,8 +36,7 @@ struct LaunchTerm {
   int64_t factor;
 
   int64_t getArgument(const uint64_t *slots) const {
-    auto unused = static_cast<unsigned>(64 - bits);
-    return static_cast<int64_t>(slots[slot] << unused) >> unused;
+    return signExtend(slots[slot], bits);
   }
   bool operator==(const LaunchTerm &other) const {
     return slot == other.slot && bits == other.bits && factor == other.factor;
@@ -67,12 +72,6 @@ struct FixedIndex {
         static_cast<uint64_t>(constant) - static_cast<uint64_t>(other.constant);
     return dimension == other.dimension && terms == other.terms &&
            signExtend(difference, std::min(bits, other.bits)) != 0;
-  }
-
-private:
-  static int64_t signExtend(uint64_t number, int64_t bits) {
-    auto unused = static_cast<unsigned>(64 - bits);
-    return static_cast<int64_t>(number << unused) >> unused;
   }
 };
 

@@ -433,7 +433,7 @@ splitParts(ModuleOp parts) {
 }
 
 runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
-                                        runtime::AdjointPlan &plan) {
+                                        runtime::AdjointAccesses &plan) {
   // Most kernels cannot carry a gradient, which decides without their adjoints.
   // Arrays and results are possible sources of a gradient.
   bool reads = !kernel.arrays().empty();
@@ -494,7 +494,7 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
     if (runtime::FieldPtr field = findField(name))
       plan.activity.push_back(field);
   for (const LoopFlags &loop : told->flags) {
-    runtime::ZeroAdjoints flags{findField(loop.field), {}};
+    runtime::SkippableLoop flags{findField(loop.field), {}};
     for (const std::string &name : loop.sources)
       flags.sources.push_back(findField(name));
     if (flags.loop)

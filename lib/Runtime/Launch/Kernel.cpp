@@ -61,7 +61,7 @@ Status KernelProvider::makeAdjoint(Kernel &kernel, AdjointVariant variant,
                              : hasNoAdjoint(kernel, variant.zeroes);
 }
 
-Status KernelProvider::planAdjoint(Kernel &kernel, AdjointPlan &plan) {
+Status KernelProvider::planAdjoint(Kernel &kernel, AdjointAccesses &plan) {
   plan.reads = kernel.summary();
   return Status::success();
 }
@@ -147,24 +147,24 @@ Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool zeroes) {
   return Status::success();
 }
 
-const AdjointPlan &Kernel::plan() {
+const AdjointAccesses &Kernel::plan() {
   Lock lock(section);
   if (adjointPlan && (!adjointPlan->provisional || lock.isAgain()))
     return *adjointPlan;
   // If isAgain(), a handler that has interrupted this function asks for the
   // plan. It gets an empty plan, since a handler cannot launch kernels (see
   // checkHandler).
-  static const AdjointPlan unknown;
+  static const AdjointAccesses unknown;
   if (lock.isAgain())
     return unknown;
-  auto made = std::make_unique<AdjointPlan>();
+  auto made = std::make_unique<AdjointAccesses>();
   if (info.differentiable && info.provider) {
     // If there is no adjoint, the plan stays empty. The error is reported only
     // when a reverse sweep needs the plan.
     planFailure = info.provider->planAdjoint(*this, *made);
     if (!planFailure) {
       bool provisional = made->provisional;
-      *made = AdjointPlan();
+      *made = AdjointAccesses();
       made->provisional = provisional;
     }
   } else if (info.differentiable) {
@@ -365,7 +365,7 @@ void Kernel::noteLoops(const LoopLists &loops) {
 }
 
 Status Kernel::checkActivity(LoopLists &loops, bool &wasLaunched) {
-  const AdjointPlan &wants = plan();
+  const AdjointAccesses &wants = plan();
   std::lock_guard<std::mutex> lock(activityMutex);
   if (sparseNodes.empty() || lastBegins.size() != sparseNodes.size())
     return Status::success();

@@ -112,9 +112,9 @@ static bool numbersAlike(const Field &a, const Field &b) {
 /// Returns the fields that must be zero in a cell for loops over the level to
 /// skip it; none if some loop over the level cannot skip cells.
 static std::vector<const Field *>
-findSources(const std::vector<ZeroAdjoints> &flags, const SparseNode &node) {
+findSources(const std::vector<SkippableLoop> &flags, const SparseNode &node) {
   std::vector<const Field *> sources;
-  for (const ZeroAdjoints &loop : flags) {
+  for (const SkippableLoop &loop : flags) {
     if (loop.loop->sparseNode() != &node)
       continue;
     if (loop.sources.empty())
@@ -252,7 +252,7 @@ const std::vector<int64_t> &Launch::gatheredCellsFor(SparseNode &node,
   if (&busy == &cells)
     return cells;
   auto loop =
-      std::find_if(flags->begin(), flags->end(), [&](const ZeroAdjoints &f) {
+      std::find_if(flags->begin(), flags->end(), [&](const SkippableLoop &f) {
         return f.loop->sparseNode() == &node;
       });
   CellGrid grid(*loop->loop);

@@ -391,7 +391,7 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
   if (!status)
     return status;
   parts.gradients.settle(fieldsOf(kernel));
-  const AdjointPlan &plan = kernel.plan();
+  const AdjointAccesses &plan = kernel.plan();
   if (plan.parts.size() == 1)
     return Status::failure(
         StatusCode::Usage,

@@ -47,7 +47,7 @@ class TestProvider final : public KernelProvider {
 public:
   std::function<Status(Kernel &, TaiKernelFn &)> onCompile;
   std::function<Status(Kernel &, AdjointVariant, KernelPtr &)> onMakeAdjoint;
-  std::function<Status(Kernel &, AdjointPlan &)> onPlanAdjoint;
+  std::function<Status(Kernel &, AdjointAccesses &)> onPlanAdjoint;
   std::function<Status(KernelPtr &)> onMakeTangent;
   bool zeroes = false;
 
@@ -62,7 +62,7 @@ public:
                : KernelProvider::makeAdjoint(kernel, variant, adjoint);
   }
   bool makesZeroingAdjoints() const override { return zeroes; }
-  Status planAdjoint(Kernel &kernel, AdjointPlan &plan) override {
+  Status planAdjoint(Kernel &kernel, AdjointAccesses &plan) override {
     return onPlanAdjoint ? onPlanAdjoint(kernel, plan)
                          : KernelProvider::planAdjoint(kernel, plan);
   }

@@ -1,4 +1,4 @@
-//===- Traces.h - Values that a function read ------------------*- C++ -*-===//
+//===- Traces.h - Values that a function read -------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -123,7 +123,7 @@ public:
                               runtime::KernelPtr &adjoint) override;
   bool makesZeroingAdjoints() const override { return true; }
   runtime::Status planAdjoint(runtime::Kernel &kernel,
-                              runtime::AdjointPlan &plan) override;
+                              runtime::AdjointAccesses &plan) override;
   runtime::KernelFlows findFlows(const runtime::Kernel &kernel) override;
   runtime::Status makeChecked(runtime::CheckedKernel &checked) override;
   runtime::Status makeTangent(runtime::KernelPtr &tangent) override;

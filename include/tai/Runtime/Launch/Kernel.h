@@ -60,7 +60,7 @@ struct LoopLevel {
 
 /// A loop of an adjoint over a sparse field that can be skipped in cells where
 /// all of `sources` are zero; with no sources, it cannot be skipped.
-struct ZeroAdjoints {
+struct SkippableLoop {
   FieldPtr loop;
   std::vector<FieldPtr> sources;
 };
@@ -116,7 +116,7 @@ struct ArrayRange {
 
 /// The memory that the adjoint of a kernel reads and changes; known before the
 /// adjoint is compiled.
-struct AdjointPlan {
+struct AdjointAccesses {
   /// The primal fields that the adjoint reads.
   std::vector<Access> reads;
   /// Fields of which the adjoint reads the contents from before the launch.
@@ -139,7 +139,7 @@ struct AdjointPlan {
   std::vector<FieldPtr> activity = {};
   /// The adjoint's loops over sparse fields, which can be skipped in cells
   /// where their sources are zero.
-  std::vector<ZeroAdjoints> flags = {};
+  std::vector<SkippableLoop> flags = {};
   /// The accesses, beside `reads`, of the variant of the adjoint that loads
   /// outputs stored by the kernel; no value if there is no such variant. The
   /// variant is valid if nothing has changed the accessed elements since the
@@ -277,7 +277,7 @@ public:
 
   /// The plan of the adjoint: the memory that it reads and changes.
   /// Thread-safe.
-  const AdjointPlan &plan();
+  const AdjointAccesses &plan();
   /// The data flow from values that the kernel loads to values that it stores.
   /// Thread-safe.
   const KernelFlows &flows();
@@ -353,10 +353,10 @@ private:
   };
   std::array<AdjointForm, 2> adjointForms, storedForms;
   std::shared_ptr<CheckedKernel> checked;
-  std::unique_ptr<AdjointPlan> adjointPlan;
+  std::unique_ptr<AdjointAccesses> adjointPlan;
   /// The plan of the adjoint before the current plan, kept because other
   /// threads may still read it.
-  std::unique_ptr<AdjointPlan> provisionalPlan;
+  std::unique_ptr<AdjointAccesses> provisionalPlan;
   /// The error of the attempt to plan the adjoint: an adjoint without a plan is
   /// not launched.
   Status planFailure;

@@ -23,7 +23,7 @@ namespace mlir::tai::runtime {
 
 class Kernel;
 using KernelPtr = std::shared_ptr<Kernel>;
-struct AdjointPlan;
+struct AdjointAccesses;
 struct CheckedKernel;
 struct KernelFlows;
 
@@ -56,7 +56,7 @@ public:
   /// Plans the adjoint of a kernel; called when the kernel is first recorded.
   /// By default, the adjoint is assumed to read all memory that the kernel
   /// accesses.
-  virtual Status planAdjoint(Kernel &kernel, AdjointPlan &plan);
+  virtual Status planAdjoint(Kernel &kernel, AdjointAccesses &plan);
   /// Finds the data flow of floats through the kernel, from reads to stores.
   virtual KernelFlows findFlows(const Kernel &kernel);
 

@@ -150,7 +150,7 @@ struct Launch : TaiFrame {
   const std::string *primalName = nullptr;
   /// For adjoints: the loops that can be skipped in some cells, and the lists
   /// of cells that remain to be visited.
-  const std::vector<ZeroAdjoints> *flags = nullptr;
+  const std::vector<SkippableLoop> *flags = nullptr;
   std::vector<std::unique_ptr<std::vector<int64_t>>> filtered;
   /// Lists of active cells that were copied from a device for this launch.
   std::vector<ActiveListPtr> fetched;

@@ -63,7 +63,7 @@ struct TapedKernel {
   static const std::vector<SparseNode *> &sparseNodes(const Kernel &kernel) {
     return kernel.sparseNodes;
   }
-  static const AdjointPlan &adjointPlan(const Kernel &kernel) {
+  static const AdjointAccesses &adjointPlan(const Kernel &kernel) {
     return *kernel.adjointPlan;
   }
   static bool adjointReexecutes(const Kernel &kernel) {

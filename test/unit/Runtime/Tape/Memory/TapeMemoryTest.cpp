@@ -38,7 +38,7 @@ struct Scene {
   /// adjoints.
   KernelPtr make(const std::string &name, const std::vector<FieldPtr> &fields,
                  std::vector<Access> summary, TaiKernelFn function,
-                 TaiKernelFn reverse, const AdjointPlan &plan,
+                 TaiKernelFn reverse, const AdjointAccesses &plan,
                  int64_t slots = 0) {
     KernelInfo info;
     info.name = name;
@@ -57,7 +57,7 @@ struct Scene {
         adjoint.trees.push_back(tree(*field->adjoint()));
     info.adjoint = runtime.createKernel(adjoint);
     info.zeroesAdjoints = true;
-    provide(info).onPlanAdjoint = [plan](Kernel &, AdjointPlan &result) {
+    provide(info).onPlanAdjoint = [plan](Kernel &, AdjointAccesses &result) {
       result = plan;
       return Status::success();
     };
@@ -293,7 +293,7 @@ TEST(RuntimeTapeSave, FixedIndicesDoNotMeet) {
       in<0>(frame)[3 * (t + 1) + i] = std::sin(in<0>(frame)[3 * t + i]) + 1;
     return 0;
   };
-  provide(info).onPlanAdjoint = [&](Kernel &, AdjointPlan &plan) {
+  provide(info).onPlanAdjoint = [&](Kernel &, AdjointAccesses &plan) {
     plan.reads = {{path, AccessKind::Read, {now}}};
     return Status::success();
   };
@@ -453,7 +453,7 @@ TEST(RuntimeTapeSave, HostFunctions) {
 TEST(RuntimeTapeSave, Parts) {
   Scene scene;
   auto kick = scene.addSine(), drift = scene.drift(), sum = scene.sum();
-  AdjointPlan plan;
+  AdjointAccesses plan;
   plan.parts = {kick, drift};
   auto whole = scene.make(
       "whole", {scene.x, scene.y},
@@ -741,7 +741,7 @@ TEST(RuntimeTapeSave, WhatWasNotPlannedIsNotLaunched) {
     adjoint = scene.runtime.createKernel(info);
     return Status::success();
   };
-  provide(info).onPlanAdjoint = [](Kernel &, AdjointPlan &) {
+  provide(info).onPlanAdjoint = [](Kernel &, AdjointAccesses &) {
     return Status::failure(StatusCode::Compile, "no parts", "a.py:1:2");
   };
   auto kernel = scene.runtime.createKernel(info);
