@@ -122,7 +122,7 @@ TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
 }
 
 bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot) {
-  return llvm::is_contained(kernel->launched.plan().arrays, slot);
+  return llvm::is_contained(kernel->launched.adjoint().plan().arrays, slot);
 }
 
 TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,

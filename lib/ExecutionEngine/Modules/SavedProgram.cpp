@@ -98,11 +98,11 @@ private:
     for (SessionKernel &kernel : session.getKernels()) {
       if (kernel.kernel.get() == launched)
         return &kernel;
-      if (!kernel.kernel->hasParts())
+      if (!kernel.kernel->adjoint().hasParts())
         continue;
       // A split kernel is recorded as its parts, one after another.
       const std::vector<runtime::KernelPtr> &parts =
-          kernel.kernel->plan().parts;
+          kernel.kernel->adjoint().plan().parts;
       for (auto [i, part] : llvm::enumerate(parts))
         if (part.get() == launched)
           return i == 0 ? &kernel : nullptr;

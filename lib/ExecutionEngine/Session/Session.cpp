@@ -158,7 +158,7 @@ LogicalResult Session::compileEagerly(runtime::Kernel &kernel) {
     return fail(status);
   // A missing adjoint is ignored here: it is an error only if a tape needs it.
   if (carriesGradients(kernel))
-    (void)kernel.resolveAdjoint(adjoint);
+    (void)kernel.adjoint().resolve(adjoint);
   return success();
 }
 
@@ -216,7 +216,7 @@ LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
     runtime::Kernel &kernel = *kernels[i % kernels.size()]->kernel;
     runtime::Kernel *adjoint = nullptr;
     return statuses[i] = i < kernels.size() ? kernel.resolve()
-                                            : kernel.resolveAdjoint(adjoint);
+                                            : kernel.adjoint().resolve(adjoint);
   });
   return failed ? fail(statuses[*failed]) : success();
 }

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Lazy compilation of kernels and adjoints, and queries of summaries.
+// Lazy compilation of kernels, and queries of summaries.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,23 +26,14 @@ bool CallerAdjoints::areZero(const uint64_t *callerSlots) const {
   return true;
 }
 
-Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
+Kernel::Kernel(KernelInfo kernelInfo)
+    : info(std::move(kernelInfo)), adjointVariants(*this, info, section) {
   function.store(info.function, std::memory_order_release);
-  adjointForms[0].kernel = info.adjoint;
-  if (info.zeroesAdjoints)
-    adjointForms[1].kernel = info.adjoint;
 }
 
 //===----------------------------------------------------------------------===//
 // Operations that a kernel's provider need not have
 //===----------------------------------------------------------------------===//
-
-static Status hasNoAdjoint(const Kernel &kernel, bool zeroes) {
-  return Status::failure(
-      StatusCode::Usage,
-      "kernel '" + kernel.name() + "' has no adjoint" +
-          (zeroes ? " that zeroes the adjoints of what it stores" : ""));
-}
 
 KernelProvider::~KernelProvider() = default;
 
@@ -53,17 +44,6 @@ static Status hasNoCode(const Kernel &kernel) {
 
 Status KernelProvider::compile(Kernel &kernel, TaiKernelFn &) {
   return hasNoCode(kernel);
-}
-
-Status KernelProvider::makeAdjoint(Kernel &kernel, AdjointVariant variant,
-                                   KernelPtr &) {
-  return variant.readsStored ? Status::success()
-                             : hasNoAdjoint(kernel, variant.zeroes);
-}
-
-Status KernelProvider::planAdjoint(Kernel &kernel, AdjointAccesses &plan) {
-  plan.reads = kernel.summary();
-  return Status::success();
 }
 
 KernelFlows KernelProvider::findFlows(const Kernel &) { return {}; }
@@ -101,84 +81,6 @@ Status Kernel::resolve() {
   return status;
 }
 
-/// A tape records the values that the plan names: without a plan, the records
-/// lack the values that the adjoint reads.
-static Status planFailed(const Status &why) {
-  return Status::failure(why.code(), why.message(), why.where(), why.detail());
-}
-
-Status Kernel::resolveAdjoint(Kernel *&adjoint, bool zeroes) {
-  Lock lock(section);
-  if (lock.isAgain())
-    return lock.check();
-  adjoint = nullptr;
-  if (!info.differentiable)
-    return Status::success();
-  AdjointForm &form = adjointForms[zeroes];
-  if (!form.asked && !form.kernel) {
-    if (!info.provider)
-      return hasNoAdjoint(*this, zeroes);
-    Status status = info.provider->makeAdjoint(*this, {zeroes}, form.kernel);
-    if (!status)
-      return status;
-    form.asked = true;
-  }
-  if (form.kernel && !planFailure)
-    return planFailed(planFailure);
-  adjoint = form.kernel.get();
-  form.known.store(adjoint, std::memory_order_release);
-  return Status::success();
-}
-
-Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool zeroes) {
-  Lock lock(section);
-  if (lock.isAgain())
-    return lock.check();
-  AdjointForm &form = storedForms[zeroes];
-  if (!form.asked && info.provider) {
-    Status status = info.provider->makeAdjoint(
-        *this, {zeroes, /*readsStored=*/true}, form.kernel);
-    if (!status)
-      return status;
-    form.asked = true;
-  }
-  adjoint = form.kernel.get();
-  form.known.store(adjoint, std::memory_order_release);
-  return Status::success();
-}
-
-const AdjointAccesses &Kernel::plan() {
-  Lock lock(section);
-  if (adjointPlan && (!adjointPlan->provisional || lock.isAgain()))
-    return *adjointPlan;
-  // If isAgain(), a handler that has interrupted this function asks for the
-  // plan. It gets an empty plan, since a handler cannot launch kernels (see
-  // checkHandler).
-  static const AdjointAccesses unknown;
-  if (lock.isAgain())
-    return unknown;
-  auto made = std::make_unique<AdjointAccesses>();
-  if (info.differentiable && info.provider) {
-    // If there is no adjoint, the plan stays empty. The error is reported only
-    // when a reverse sweep needs the plan.
-    planFailure = info.provider->planAdjoint(*this, *made);
-    if (!planFailure) {
-      bool provisional = made->provisional;
-      *made = AdjointAccesses();
-      made->provisional = provisional;
-    }
-  } else if (info.differentiable) {
-    made->reads = info.summary;
-  }
-  if (adjointPlan && made->provisional)
-    return *adjointPlan;
-  // The plan is stored last, so that other threads never see a kernel without
-  // its plan.
-  adjointPlan.swap(made);
-  provisionalPlan = std::move(made);
-  return *adjointPlan;
-}
-
 const KernelFlows &Kernel::flows() {
   Lock lock(section);
   static const KernelFlows unknown;
@@ -194,13 +96,14 @@ Status Kernel::resolveTangent(Kernel *&result) {
   Lock lock(section);
   if (lock.isAgain())
     return lock.check();
-  if (!tangentAsked && info.provider) {
-    Status status = info.provider->makeTangent(tangent);
-    if (!status)
-      return status;
-    tangentAsked = true;
+  if (!tangent) {
+    KernelPtr made;
+    if (info.provider)
+      if (Status status = info.provider->makeTangent(made); !status)
+        return status;
+    tangent = std::move(made);
   }
-  result = tangent ? tangent.get() : this;
+  result = *tangent ? tangent->get() : this;
   return Status::success();
 }
 
@@ -315,15 +218,15 @@ Status Kernel::bind(uint64_t epoch) {
   bool uses = std::any_of(
       info.summary.begin(), info.summary.end(),
       [](const Access &access) { return access.field->isAdjoint(); });
-  if (usesAdjoints != uses)
-    usesAdjoints = uses;
-  replace(bases, std::move(newBases));
-  replace(sparseNodes, std::move(nodes));
-  replace(loopLevels, std::move(levels));
-  replace(changedAdjoints, std::move(changed));
-  replace(adjointTargets, std::move(targets));
-  replace(adjointSources, std::move(sources));
-  replace(overwritten, std::move(stored));
+  if (bound.usesAdjoints != uses)
+    bound.usesAdjoints = uses;
+  replace(bound.bases, std::move(newBases));
+  replace(bound.sparseNodes, std::move(nodes));
+  replace(bound.loopLevels, std::move(levels));
+  replace(bound.changedAdjoints, std::move(changed));
+  replace(bound.adjointTargets, std::move(targets));
+  replace(bound.adjointSources, std::move(sources));
+  replace(bound.overwritten, std::move(stored));
   boundEpoch.store(epoch, std::memory_order_release);
   return Status::success();
 }
@@ -340,60 +243,5 @@ Status Kernel::resolveChecked(CheckedKernel *&result) {
     checked = std::move(made);
   }
   result = checked.get();
-  return Status::success();
-}
-
-//===----------------------------------------------------------------------===//
-// Activity
-//===----------------------------------------------------------------------===//
-
-// An adjoint visits the cells that its primal visited. Under a tape, these
-// cells are part of the record of the launch. An adjoint that is launched by
-// hand belongs to the last launch of its primal, whose cells are kept here.
-
-void Kernel::noteBegin() {
-  std::lock_guard<std::mutex> lock(activityMutex);
-  lastBegins.clear();
-  for (const SparseNode *node : sparseNodes)
-    lastBegins.push_back(node->now());
-  lastLoops.clear();
-}
-
-void Kernel::noteLoops(const LoopLists &loops) {
-  std::lock_guard<std::mutex> lock(activityMutex);
-  lastLoops = loops;
-}
-
-Status Kernel::checkActivity(LoopLists &loops, bool &wasLaunched) {
-  const AdjointAccesses &wants = plan();
-  std::lock_guard<std::mutex> lock(activityMutex);
-  if (sparseNodes.empty() || lastBegins.size() != sparseNodes.size())
-    return Status::success();
-  wasLaunched = true;
-  loops = lastLoops;
-  auto asksFor = [&](const SparseNode *node) {
-    for (const FieldPtr &field : wants.activity)
-      for (const SparseNode *at = field->sparseNode(); at; at = at->above())
-        if (at == node)
-          return true;
-    return false;
-  };
-  for (size_t i = 0; i < sparseNodes.size(); ++i) {
-    const SparseNode *node = sparseNodes[i];
-    if (node->hasRemovedSince(lastBegins[i]))
-      return Status::failure(
-          StatusCode::Usage,
-          "cells of " + node->info().label +
-              " were deactivated since kernel '" + name() +
-              "' was launched, and its gradient needs them; launch it under a "
-              "tape, or deactivate after the gradient");
-    if (asksFor(node) && node->hasChangedSince(lastBegins[i]))
-      return Status::failure(
-          StatusCode::Usage,
-          "the gradient of kernel '" + name() + "' asks which cells of " +
-              node->info().label +
-              " are active, and that has changed since the kernel was "
-              "launched; launch it under a tape");
-  }
   return Status::success();
 }

@@ -24,9 +24,7 @@ Launcher::~Launcher() = default;
 void Launcher::setSeed(uint64_t seed) {
   hot.seed = seed;
   hot.launches.store(0, std::memory_order_relaxed);
-  kernelList.forEach([](Kernel &kernel) {
-    kernel.prepared.lastLaunch.store(0, std::memory_order_relaxed);
-  });
+  kernelList.forEach([](Kernel &kernel) { kernel.setLastLaunch(0); });
 }
 
 OverwriteWatcher *
@@ -112,7 +110,7 @@ Status Launcher::checkHolds(const Kernel &kernel) const {
 Status Launcher::checkAdjointHolds(const Kernel &kernel) const {
   Status status;
   for (const std::vector<Field *> &fields :
-       {kernel.adjointTargets, kernel.adjointSources})
+       {kernel.bound.adjointTargets, kernel.bound.adjointSources})
     for (Field *field : fields)
       if (status)
         status = parts.recordings.check(*field->adjoint(), HoldKind::Write);
@@ -143,18 +141,18 @@ Status Launcher::runTangent(Launch &launch, Kernel &kernel,
     status = kernel.bind(parts.state.epoch());
   if (!status)
     return status;
-  for (Field *field : kernel.changedAdjoints)
+  for (Field *field : kernel.bound.changedAdjoints)
     field->markDirty();
   if (tangentFlows)
     tangentFlows->launch(kernel, args);
   takeOverTangents(kernel);
   if (tangent == &kernel)
     return runCode(launch, kernel, args, results, number);
-  if (!kernel.sparseNodes.empty() && !launch.given)
-    kernel.noteBegin();
+  if (!kernel.bound.sparseNodes.empty() && !launch.given)
+    kernel.lastActivity.begin(kernel.bound.sparseNodes);
   status = runCode(launch, *tangent, args, results, number);
   if (!launch.loops.empty())
-    kernel.noteLoops(launch.loops);
+    kernel.lastActivity.noteLoops(launch.loops);
   return status;
 }
 
@@ -215,9 +213,9 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
     launch.unwanted.resize(static_cast<size_t>(kernel.resultSlots()));
     results = launch.unwanted.data();
   }
-  if (kernel.usesAdjoints && parts.gradients.areOwed())
+  if (kernel.bound.usesAdjoints && parts.gradients.areOwed())
     settleZeros(kernel, args);
-  launch.trees = kernel.bases.data();
+  launch.trees = kernel.bound.bases.data();
   launch.loopTimes = &kernel.loopTimes;
   if (__builtin_expect(parts.devices.isThere(), false)) {
     Status status = deviceLaunches.enter(launch, kernel);
@@ -230,19 +228,21 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
   launch.launch = number;
   if (__builtin_expect(!launch.loops.empty(), false))
     launch.loops.clear();
-  if (__builtin_expect(!kernel.sparseNodes.empty() && !launch.given, false))
-    kernel.noteBegin();
+  if (__builtin_expect(!kernel.bound.sparseNodes.empty() && !launch.given,
+                       false))
+    kernel.lastActivity.begin(kernel.bound.sparseNodes);
   int32_t code;
   TaiKernelFn function = kernel.function.load(std::memory_order_relaxed);
-  if (!kernel.loopLevels.empty() && parts.options.skips.has(Skip::EmptyLoops) &&
-      kernel.hasNoActiveCells() &&
+  if (!kernel.bound.loopLevels.empty() &&
+      parts.options.skips.has(Skip::EmptyLoops) &&
+      kernel.bound.hasNoActiveCells() &&
       !(launch.given && launch.given->hasCells())) {
     parts.counters.add(SkipCount::EmptyLaunches);
     // Cells may be active when the adjoint runs, so the record says that this
     // launch visited no cells.
     static const ActiveListPtr none = std::make_shared<const ActiveList>();
     if (!launch.given)
-      for (const SparseNode *level : kernel.loopLevels)
+      for (const SparseNode *level : kernel.bound.loopLevels)
         launch.loops.add(*level, none);
     code = 0;
   } else if (__builtin_expect(parts.options.instruments.profiler, false))
@@ -251,12 +251,12 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
     code = function(&launch);
   if (__builtin_expect(parts.devices.isThere(), false))
     deviceLaunches.leave(launch);
-  for (Field *field : kernel.changedAdjoints)
+  for (Field *field : kernel.bound.changedAdjoints)
     field->markDirty();
   if (launch.arena.used())
     launch.arena.reset();
   if (__builtin_expect(!launch.loops.empty(), false))
-    kernel.noteLoops(launch.loops);
+    kernel.lastActivity.noteLoops(launch.loops);
   if (__builtin_expect(code != 0 || launch.hasFailed(), false)) {
     launch.freeSinks();
     return failureOf(launch, kernel);
@@ -364,7 +364,7 @@ Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   {
     TakenLaunch launch(*this, /*isUnrecorded=*/!tape);
     uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
-    kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
+    kernel.setLastLaunch(number);
     status =
         launch.finish(__builtin_expect(tape != nullptr, false)
                           ? tape->launch(*launch, kernel, args, results, number)
@@ -391,7 +391,7 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
   if (!status)
     return status;
   parts.gradients.settle(fieldsOf(kernel));
-  const AdjointAccesses &plan = kernel.plan();
+  const AdjointAccesses &plan = kernel.adjoint().plan();
   if (plan.parts.size() == 1)
     return Status::failure(
         StatusCode::Usage,
@@ -408,9 +408,9 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
             "tape keeps: launch it under a tape, or store the new values to "
             "other elements");
   Kernel *adjoint = nullptr;
-  bool canZero = kernel.hasZeroingAdjoint();
-  status = kernel.resolveAdjoint(
-      adjoint, plan.zeroes || (canZero && !kernel.overwritten.empty()));
+  bool canZero = kernel.adjoint().canZero();
+  status = kernel.adjoint().resolve(
+      adjoint, plan.zeroes || (canZero && !kernel.bound.overwritten.empty()));
   if (!status)
     return status;
   LoopLists loops;
@@ -418,11 +418,11 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
   if (Recorder *sweep = parts.recordings.sweeping())
     status = sweep->findLoops(kernel, loops, wasLaunched);
   else
-    status = kernel.checkActivity(loops, wasLaunched);
+    status = kernel.lastActivity.check(kernel, loops, wasLaunched);
   if (!status)
     return status;
   TakenLaunch launch(*this, /*isUnrecorded=*/!parts.recordings.sweeping());
-  uint64_t number = kernel.prepared.lastLaunch.load(std::memory_order_relaxed);
+  uint64_t number = kernel.lastLaunch();
   if (adjoint)
     status = runAdjoint(*launch, kernel, *adjoint, args, number,
                         wasLaunched ? &loops : nullptr);
@@ -441,14 +441,14 @@ Status Launcher::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
   }
   // The adjoint fields are marked as changed here, because the adjoint kernel
   // may have no summary of its own.
-  for (Field *field : kernel.adjointTargets)
+  for (Field *field : kernel.bound.adjointTargets)
     field->adjoint()->markDirty();
   launch.given = given;
   launch.primalName = &kernel.name();
-  if (!kernel.sparseNodes.empty() &&
+  if (!kernel.bound.sparseNodes.empty() &&
       parts.options.skips.has(Skip::ZeroAdjoints) &&
       !parts.recordings.isForward())
-    launch.flags = &kernel.plan().flags;
+    launch.flags = &kernel.adjoint().plan().flags;
   Status status = run(launch, adjoint, args, nullptr, number);
   launch.given = nullptr;
   launch.flags = nullptr;

@@ -121,14 +121,14 @@ void Launcher::prepare(Kernel &kernel) {
   if (epoch == LaunchState::never ||
       prepared.state.load(std::memory_order_relaxed) == epoch ||
       kernel.boundEpoch.load(std::memory_order_acquire) != epoch ||
-      !kernel.resolved() || !kernel.sparseNodes.empty() ||
-      !kernel.loopLevels.empty())
+      !kernel.resolved() || !kernel.bound.sparseNodes.empty() ||
+      !kernel.bound.loopLevels.empty())
     return;
   Kernel::Lock lock(kernel.section);
   uint64_t before = prepared.state.load(std::memory_order_relaxed);
   // A kernel that accesses adjoints is not prepared: each of its launches first
   // stores the zeros that its fields still lack (see settleZeros).
-  if (before == epoch || kernel.usesAdjoints)
+  if (before == epoch || kernel.bound.usesAdjoints)
     return;
   PreparedLaunch made;
   if (parts.devices.isThere()) {
@@ -143,13 +143,13 @@ void Launcher::prepare(Kernel &kernel) {
     made.changedEnd = made.changed + code->changed.size();
     made.trees = const_cast<void **>(code->bases.data());
   } else {
-    made.trees = kernel.bases.data();
+    made.trees = kernel.bound.bases.data();
   }
   made.function = kernel.function.load(std::memory_order_relaxed);
   made.slots = kernel.argSlots();
   made.hasResults = kernel.resultSlots() > 0;
-  made.adjoints = kernel.changedAdjoints.data();
-  made.adjointsEnd = made.adjoints + kernel.changedAdjoints.size();
+  made.adjoints = kernel.bound.changedAdjoints.data();
+  made.adjointsEnd = made.adjoints + kernel.bound.changedAdjoints.size();
   if (fieldsOf(prepared) != fieldsOf(made)) {
     // A launch of another thread may be using the present tables. No launch
     // begins to use them while `prepared.state` differs from the state of the

@@ -325,7 +325,7 @@ Status Tape::runRecord(int64_t index) {
   uint64_t number = records.number(record);
   HeldLaunch launch(parts->services);
   std::vector<uint64_t> results(kernel.resultSlots());
-  TapedKernel::lastLaunch(kernel).store(number, std::memory_order_relaxed);
+  kernel.setLastLaunch(number);
   uint64_t *wanted = results.empty() ? nullptr : results.data();
   return other
              ? other->launch(launch.get(), kernel, args, wanted, number)

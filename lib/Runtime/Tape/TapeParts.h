@@ -8,6 +8,7 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_TAPEPARTS_H
 #define TAI_LIB_RUNTIME_TAPE_TAPEPARTS_H
 
+#include "Record/KnownKernels.h"
 #include "Record/LostGradients.h"
 #include "Replay/ChangeWatch.h"
 #include "Replay/DirectReplay.h"
@@ -22,9 +23,9 @@ namespace mlir::tai::runtime {
 
 /// The parts of a tape, each declared after the parts that it depends on.
 struct Tape::Parts {
-  Parts(Runtime &runtime, Tape &tape, uint64_t stamp, bool clears)
-      : stamp(stamp), services(runtime), holds(services, tape, clears),
-        memory(runtime), topology(runtime), seeds(services), changes(services),
+  Parts(Runtime &runtime, Tape &tape, bool clears)
+      : services(runtime), holds(services, tape, clears), memory(runtime),
+        topology(runtime), seeds(services), changes(services),
         forms(services, recording, plan, memory), direct(services, recording),
         reverse(services, tape, recording, plan, forms, memory, topology,
                 health),
@@ -32,8 +33,6 @@ struct Tape::Parts {
     reverse.liveFields = [this] { return seeds.liveFields(false, holds); };
   }
 
-  /// A number that identifies the tape among all tapes of the runtime.
-  uint64_t stamp;
   TapeServices services;
   bool isOpen = false;
   /// True if memory has run out during an operation: the tape can no longer be
@@ -48,6 +47,7 @@ struct Tape::Parts {
 
   TapeHolds holds;
   TapeRecording recording;
+  KnownKernels known;
   TapeMemory memory;
   TapeTopology topology;
   std::unique_ptr<AccessChecks> checks;

@@ -24,20 +24,21 @@ static std::string join(const std::vector<Field *> &fields) {
 
 static std::string explainReplay(const Kernel &kernel) {
   std::string text =
-      "replayed, from the adjoints of " + join(TapedKernel::sources(kernel));
-  if (!TapedKernel::targets(kernel).empty())
-    text += " to those of " + join(TapedKernel::targets(kernel));
+      "replayed, from the adjoints of " + join(kernel.tables().adjointSources);
+  if (!kernel.tables().adjointTargets.empty())
+    text += " to those of " + join(kernel.tables().adjointTargets);
   return text;
 }
 
 static std::string explainStored(const Kernel &kernel, bool loads) {
-  if (!TapedKernel::loadsStored(kernel))
+  const std::vector<Access> *stored = kernel.adjoint().stored();
+  if (!stored)
     return "";
   if (!loads)
     return "; computes again what it stored";
   std::string text = "; loads what it stored";
   std::vector<const Field *> named;
-  for (const Access &access : *TapedKernel::adjointPlan(kernel).stored) {
+  for (const Access &access : *stored) {
     if (std::find(named.begin(), named.end(), access.field.get()) !=
         named.end())
       continue;
@@ -66,7 +67,7 @@ static std::string describePlace(const Access &access, const uint64_t *args) {
 static const char *findWhole(const Kernel &kernel, const Access &access) {
   if (access.field->rank() == 0)
     return "";
-  if (!kernel.hasZeroingAdjoint())
+  if (!kernel.adjoint().canZero())
     return "its adjoint may access other elements";
   if (LiveSlabs::hasManyPlaces(kernel, *access.field))
     return "it has too many accesses to tell them apart";

@@ -15,7 +15,6 @@
 
 #include "tai/Runtime/Host/HostWrite.h"
 #include "tai/Runtime/Launch/Launch.h"
-#include "tai/Runtime/Launch/TapedKernel.h"
 #include "tai/Runtime/Mirror/DeviceContext.h"
 #include "tai/Runtime/Tape/Tape.h"
 

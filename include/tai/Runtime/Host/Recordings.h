@@ -60,10 +60,6 @@ public:
   /// True if the gradient of any registered tape needs the present values of
   /// `field`.
   bool needsValues(const Field &field) const;
-  /// Returns a new number, unique among the stamps of tapes and of their plans.
-  uint64_t nextStamp() {
-    return 1 + stamps.fetch_add(1, std::memory_order_relaxed);
-  }
 
   /// The tape whose sweep is calling a function of the host on this thread, or
   /// null.
@@ -165,7 +161,6 @@ private:
   mutable std::mutex tapesMutex;
   std::shared_ptr<const KnownPlan> lastPlan; // guarded by tapesMutex
   std::atomic<size_t> numTapes{0};
-  std::atomic<uint64_t> stamps{0};
   Recorder *sweeper = nullptr;
   std::atomic<const void *> sweepThread{nullptr};
 };

@@ -15,14 +15,13 @@
 
 #include "tai/ABI/Abi.h"
 #include "tai/ABI/LaunchAccesses.h"
+#include "tai/Runtime/Launch/KernelAdjoint.h"
 #include "tai/Runtime/Launch/KernelProvider.h"
+#include "tai/Runtime/Launch/KernelTables.h"
+#include "tai/Runtime/Launch/LastActivity.h"
 #include "tai/Runtime/Launch/LoopTimes.h"
-#include "tai/Runtime/Sparse/LoopLists.h"
 #include "tai/Runtime/Storage/Field.h"
 #include "tai/Runtime/Threads/Section.h"
-#include <array>
-#include <functional>
-#include <mutex>
 #include <optional>
 
 namespace mlir::tai::runtime {
@@ -32,37 +31,14 @@ class Mirror;
 struct CheckedKernel;
 struct DeviceCode;
 struct DeviceImage;
+struct Launch;
 using KernelPtr = std::shared_ptr<Kernel>;
-
-/// An access of a kernel to a field: an entry of the kernel's summary.
-struct Access {
-  FieldPtr field;
-  AccessKind kind;
-  /// The indices that are the same in all iterations of a launch, in the order
-  /// of their dimensions: launches with different values of such an index
-  /// access different elements.
-  std::vector<FixedIndex> fixed = {};
-  /// For a write: boxes of elements that the launch certainly stores, whatever
-  /// values fields hold. Null if they are unknown or do not form boxes.
-  std::shared_ptr<const std::vector<StoredBox>> boxes = nullptr;
-
-  bool operator==(const Access &other) const {
-    return field == other.field && kind == other.kind && fixed == other.fixed;
-  }
-};
 
 /// A sparse level over whose active cells a kernel loops: the tree, by its
 /// position among the trees of the kernel, and the number of the level in it.
 struct LoopLevel {
   int64_t tree;
   int64_t node;
-};
-
-/// A loop of an adjoint over a sparse field that can be skipped in cells where
-/// all of `sources` are zero; with no sources, it cannot be skipped.
-struct SkippableLoop {
-  FieldPtr loop;
-  std::vector<FieldPtr> sources;
 };
 
 /// An end of a float data flow in a kernel: a field, an array argument, or,
@@ -112,42 +88,6 @@ struct ArrayRange {
   bool holds(const ArrayRange &other) const {
     return begin <= other.begin && other.end <= end && step == elementBytes;
   }
-};
-
-/// The memory that the adjoint of a kernel reads and changes; known before the
-/// adjoint is compiled.
-struct AdjointAccesses {
-  /// The primal fields that the adjoint reads.
-  std::vector<Access> reads;
-  /// Fields of which the adjoint reads the contents from before the launch.
-  std::vector<FieldPtr> before;
-  /// True if the adjoint re-executes the primal kernel, which changes the
-  /// fields that the adjoint reads.
-  bool reexecutes = false;
-  /// If not empty: the kernels into which this kernel was split. The tape
-  /// records them, in this order, instead of this kernel. They take the
-  /// arguments of this kernel; one of them may return its results.
-  std::vector<KernelPtr> parts;
-  /// True if this plan describes the zeroing variant of the adjoint, and the
-  /// sweep must launch that variant.
-  bool zeroes = false;
-  /// True if the plan is preliminary, and must not be cached: it may change
-  /// when further adjoint fields are declared.
-  bool provisional = false;
-  /// Fields for which the adjoint reads which cells of the sparse levels above
-  /// them are active.
-  std::vector<FieldPtr> activity = {};
-  /// The adjoint's loops over sparse fields, which can be skipped in cells
-  /// where their sources are zero.
-  std::vector<SkippableLoop> flags = {};
-  /// The accesses, beside `reads`, of the variant of the adjoint that loads
-  /// outputs stored by the kernel; no value if there is no such variant. The
-  /// variant is valid if nothing has changed the accessed elements since the
-  /// launch.
-  std::optional<std::vector<Access>> stored = std::nullopt;
-  /// Array arguments whose elements the adjoint reads, by the numbers of the
-  /// argument slots that hold their pointers.
-  std::vector<int64_t> arrays = {};
 };
 
 /// The adjoints of arguments and results, in memory of the caller. A launch
@@ -261,36 +201,19 @@ public:
   const CallerAdjoints &callerAdjoints() const { return info.callerAdjoints; }
   const std::vector<Access> &summary() const { return info.summary; }
   bool differentiable() const { return info.differentiable; }
+  const std::vector<TreePtr> &trees() const { return info.trees; }
 
   /// Compiles the kernel now instead of at the first launch. Thread-safe.
   Status resolve();
   bool resolved() const {
     return function.load(std::memory_order_acquire) != nullptr;
   }
-  /// Gives the adjoint kernel, or with `zeroes` its zeroing variant; compiles
-  /// it if necessary. Null if there is nothing to differentiate. Thread-safe.
-  Status resolveAdjoint(Kernel *&adjoint, bool zeroes = false);
-  /// Gives the variant of the adjoint that loads outputs stored by this kernel,
-  /// with `zeroes` its zeroing variant; null if there is no such variant.
-  /// Requires that plan().stored has a value. Thread-safe.
-  Status resolveStoredAdjoint(Kernel *&adjoint, bool zeroes);
-
-  /// The plan of the adjoint: the memory that it reads and changes.
-  /// Thread-safe.
-  const AdjointAccesses &plan();
+  /// The plan and the variants of the adjoint.
+  KernelAdjoint &adjoint() { return adjointVariants; }
+  const KernelAdjoint &adjoint() const { return adjointVariants; }
   /// The data flow from values that the kernel loads to values that it stores.
   /// Thread-safe.
   const KernelFlows &flows();
-  /// True if the adjoint has been planned and the plan splits the kernel into
-  /// several kernels.
-  bool hasParts() const { return adjointPlan && !adjointPlan->parts.empty(); }
-
-  /// True if the adjoint has a variant that zeroes the adjoints of the elements
-  /// that this kernel stores.
-  bool hasZeroingAdjoint() const {
-    return info.zeroesAdjoints ||
-           (info.provider && info.provider->makesZeroingAdjoints());
-  }
 
   /// Gives the variant of the kernel that checks the data access rules; null if
   /// there is nothing to check.
@@ -309,25 +232,36 @@ public:
   void setLoopLevels(std::vector<LoopLevel> levels);
   void setDeviceImage(std::shared_ptr<const DeviceImage> image);
 
+  /// Fills the tables, for the storage's state `epoch`. Fails if a tree has
+  /// been destroyed.
+  Status bind(uint64_t epoch);
+  /// The tables that bind() has filled.
+  const KernelTables &tables() const { return bound; }
+
+  /// True if a launch of the kernel only calls its function with trees and
+  /// arguments, without sparse cells, results or adjoints of the caller.
+  /// Requires bind().
+  bool isDirect() const {
+    return bound.sparseNodes.empty() && bound.loopLevels.empty() &&
+           info.resultSlots == 0 && info.callerAdjoints.slots == 0;
+  }
+  /// Calls the function of a direct kernel with the arguments of `launch`.
+  int32_t callDirectly(Launch &launch);
+  /// The number of the last launch.
+  uint64_t lastLaunch() const {
+    return prepared.lastLaunch.load(std::memory_order_relaxed);
+  }
+  void setLastLaunch(uint64_t number) {
+    prepared.lastLaunch.store(number, std::memory_order_relaxed);
+  }
+
 private:
   friend class Launcher;
   friend class DeviceLaunches;
-  friend struct TapedKernel;
-
-  void noteBegin();
-  void noteLoops(const LoopLists &loops);
-  /// Gives, for an adjoint launched by the user, the cells that the loops of
-  /// the kernel's last launch visited. Fails if activity has changed since then
-  /// in a way that the adjoint cannot handle.
-  Status checkActivity(LoopLists &loops, bool &wasLaunched);
 
   /// Fails in a signal handler that has interrupted the compilation of this
   /// kernel.
   Status checkHandler() const { return Section::Entry(section).check(); }
-  /// Fills the tables of fields and trees that launches use (the members
-  /// below), for the storage's state `epoch`. Fails if a tree has been
-  /// destroyed.
-  Status bind(uint64_t epoch);
   /// Invalidates the results of `bind` and the prepared launch.
   void forget() {
     boundEpoch.store(0, std::memory_order_release);
@@ -342,72 +276,20 @@ private:
   /// primal.
   mutable Section section;
   using Lock = Section::Entry;
-  /// A variant of the adjoint kernel. There are four: plain and zeroing, each
-  /// without and with loading of stored outputs.
-  struct AdjointForm {
-    KernelPtr kernel;
-    bool asked = false;
-    /// The adjoint kernel, once it has been made: a sweep reads this pointer
-    /// without a lock.
-    std::atomic<Kernel *> known{nullptr};
-  };
-  std::array<AdjointForm, 2> adjointForms, storedForms;
+  KernelAdjoint adjointVariants;
   std::shared_ptr<CheckedKernel> checked;
-  std::unique_ptr<AdjointAccesses> adjointPlan;
-  /// The plan of the adjoint before the current plan, kept because other
-  /// threads may still read it.
-  std::unique_ptr<AdjointAccesses> provisionalPlan;
-  /// The error of the attempt to plan the adjoint: an adjoint without a plan is
-  /// not launched.
-  Status planFailure;
   std::optional<KernelFlows> valueFlows;
-  KernelPtr tangent;
-  bool tangentAsked = false;
-
-  /// True if the kernel only loops over active cells of sparse levels, and no
-  /// such level has an active cell.
-  bool hasNoActiveCells() const {
-    for (const SparseNode *level : loopLevels)
-      if (level->mayBeActive())
-        return false;
-    return true;
-  }
+  /// The variant for forward mode, once the provider has been asked for it.
+  std::optional<KernelPtr> tangent;
 
   /// The kernel's code on the device, loaded when the kernel is first launched.
   std::shared_ptr<DeviceCode> deviceCode;
-  std::vector<void *> bases;
   LoopTimes loopTimes;
-  /// If the kernel only loops over active cells: the sparse levels of its
-  /// loops. Otherwise empty.
-  std::vector<const SparseNode *> loopLevels;
-  /// The epoch of the storage for which the tables of bind() are valid; 0
-  /// before the first bind().
+  KernelTables bound;
+  /// The epoch of the storage for which `bound` is valid; 0 before the first
+  /// bind().
   std::atomic<uint64_t> boundEpoch{0};
-  /// True if the kernel accesses an adjoint field, for which zeros may have to
-  /// be stored first.
-  bool usesAdjoints = false;
-  /// The adjoint fields that a launch of this kernel may change.
-  std::vector<Field *> changedAdjoints;
-  /// Fields to whose adjoints the adjoint kernel adds: the fields that this
-  /// kernel reads.
-  std::vector<Field *> adjointTargets;
-  /// Fields whose adjoints the adjoint kernel reads: the fields that this
-  /// kernel changes.
-  std::vector<Field *> adjointSources;
-  /// The fields that the kernel overwrites rather than adds to; a subset of
-  /// `adjointSources`.
-  std::vector<Field *> overwritten;
-  /// Sparse levels of the kernel's trees. For an adjoint that is launched by
-  /// hand: the state of the levels when the last launch began, and the cells
-  /// that the loops of that launch visited.
-  std::vector<SparseNode *> sparseNodes;
-  std::mutex activityMutex;
-  std::vector<SparseNode::Moment> lastBegins;
-  LoopLists lastLoops;
-  /// The stamp (a unique number) of the last tape that recorded this kernel.
-  uint64_t tapeStamp = 0;
-  /// Data about this kernel that belongs to the tape with stamp `tapeStamp`.
-  const void *tapeUses = nullptr;
+  LastActivity lastActivity;
 };
 
 } // namespace mlir::tai::runtime

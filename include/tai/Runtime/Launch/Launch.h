@@ -212,6 +212,12 @@ inline Launch &launchOf(TaiFrame *frame) {
   return *static_cast<Launch *>(frame);
 }
 
+inline int32_t Kernel::callDirectly(Launch &launch) {
+  launch.trees = bound.bases.data();
+  launch.loopTimes = &loopTimes;
+  return function.load(std::memory_order_relaxed)(&launch);
+}
+
 } // namespace mlir::tai::runtime
 
 #endif // TAI_RUNTIME_LAUNCH_LAUNCH_H

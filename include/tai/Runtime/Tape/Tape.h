@@ -38,11 +38,10 @@ struct Launch;
 
 class Tape final : public Recorder {
 public:
-  /// Starts to record on the calling thread; see Runtime::beginTape. `stamp` is
-  /// unique among the tapes of the runtime. `clears`: sets gradients to zero
-  /// first.
-  static Status begin(Runtime &runtime, uint64_t stamp, FieldPtr loss,
-                      bool clears, std::unique_ptr<Tape> &tape);
+  /// Starts to record on the calling thread; see Runtime::beginTape. `clears`:
+  /// sets gradients to zero first.
+  static Status begin(Runtime &runtime, FieldPtr loss, bool clears,
+                      std::unique_ptr<Tape> &tape);
   ~Tape() override;
   Tape(const Tape &) = delete;
   Tape &operator=(const Tape &) = delete;
@@ -173,7 +172,7 @@ public:
 
 private:
   struct Parts;
-  Tape(Runtime &runtime, uint64_t stamp, bool clears);
+  Tape(Runtime &runtime, bool clears);
 
   Status adopt(Kernel &kernel);
   Status findUses(Kernel &kernel, const void *&uses);
@@ -200,8 +199,7 @@ private:
 
 inline Status Runtime::beginTape(FieldPtr loss, bool clearGradients,
                                  std::unique_ptr<Tape> &tape) {
-  return Tape::begin(*this, tapes.nextStamp(), std::move(loss), clearGradients,
-                     tape);
+  return Tape::begin(*this, std::move(loss), clearGradients, tape);
 }
 
 } // namespace mlir::tai::runtime

@@ -132,7 +132,7 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
   if (uses)
     return *uses;
   uses = std::make_unique<KernelUses>();
-  const AdjointAccesses &plan = kernel.plan();
+  const AdjointAccesses &plan = kernel.adjoint().plan();
   auto add = [](std::vector<Use> &list, auto &&use) {
     if (std::find(list.begin(), list.end(), use) == list.end())
       list.push_back(std::forward<decltype(use)>(use));

@@ -51,7 +51,7 @@ void LiveSlabs::collect(const Kernel &kernel, KernelUses &uses) {
     // A hand-written adjoint can access elements that the kernel's summary does
     // not list.
     bool isKnown =
-        kernel.hasZeroingAdjoint() && places[access.field.get()] <= mostPlaces;
+        kernel.adjoint().canZero() && places[access.field.get()] <= mostPlaces;
     size_t set = numberOf(*access.field);
     const std::vector<FixedIndex> &fixed = isKnown ? access.fixed : nowhere;
     Use use{set, sets[set].addShape(fixed), &fixed};

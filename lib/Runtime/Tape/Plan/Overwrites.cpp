@@ -173,9 +173,9 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording) {
     }
     const uint64_t *args = recording.args(record);
     positions.clear();
-    bool again = TapedKernel::alwaysZeroes(*kernel);
+    bool again = kernel->adjoint().alwaysZeroes();
     // A hand-written adjoint possibly has no zeroing variant.
-    bool canZero = kernel->hasZeroingAdjoint();
+    bool canZero = kernel->adjoint().canZero();
     auto look = [&](const Repeated::Use &use) {
       Used &entry = used[use.used];
       int64_t position = entry.locate(*use.access, args);

@@ -22,10 +22,10 @@ struct DirtyAdjoints {
                        [](const Field *field) { return has(*field); });
   }
   static bool isWritten(const TapeRecording::Record &record) {
-    return hasAny(TapedKernel::sources(*record.kernel));
+    return hasAny(record.kernel->tables().adjointSources);
   }
   static bool isOverwritten(const TapeRecording::Record &record) {
-    return hasAny(TapedKernel::overwritten(*record.kernel));
+    return hasAny(record.kernel->tables().overwritten);
   }
 };
 } // namespace
@@ -53,7 +53,7 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
     return skip(Decision::SkipUnreached);
   Interest interest = interests[index];
   if (interest == Interest::Leads &&
-      (!TapedKernel::targets(kernel).empty() || caller.hasTargets))
+      (!kernel.tables().adjointTargets.empty() || caller.hasTargets))
     return Decision::Replay;
   // Any other adjoint zeroes adjoints of elements that its kernel overwrote,
   // and does nothing else, which matters only to earlier writers of these
@@ -105,7 +105,7 @@ void TapePlan::make(const TapeServices &services,
   for (const KernelPtr &kernel : recording.kernels())
     // A failure of bind() because of a destroyed tree is ignored, since
     // launching the kernel reports it.
-    (void)TapedKernel::bind(*kernel, inputs.epoch);
+    (void)kernel->bind(inputs.epoch);
   std::shared_ptr<const KnownPlan> known = services.knownPlan();
   if (known && known->find(recording, inputs, results))
     return;

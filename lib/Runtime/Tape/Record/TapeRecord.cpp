@@ -20,8 +20,8 @@ using namespace mlir::tai::runtime;
 // Beginning and end
 //===----------------------------------------------------------------------===//
 
-Tape::Tape(Runtime &runtime, uint64_t stamp, bool clears)
-    : parts(std::make_unique<Parts>(runtime, *this, stamp, clears)) {
+Tape::Tape(Runtime &runtime, bool clears)
+    : parts(std::make_unique<Parts>(runtime, *this, clears)) {
   parts->services.add(*this);
 }
 
@@ -36,7 +36,7 @@ Tape::~Tape() {
   parts->services.remove(*this);
 }
 
-Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
+Status Tape::begin(Runtime &runtime, FieldPtr loss, bool clears,
                    std::unique_ptr<Tape> &tape) {
   if (runtime.recordingTape())
     return Status::failure(StatusCode::Usage,
@@ -50,7 +50,7 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
     return Status::failure(StatusCode::Usage,
                            "another thread records a tape, and a GPU has room "
                            "for one at a time: let it finish first");
-  std::unique_ptr<Tape> made(new Tape(runtime, stamp, clears));
+  std::unique_ptr<Tape> made(new Tape(runtime, clears));
   // The list of records gets room for as many launches as the last recording
   // had, since an iteration of an optimiser usually records as many as the one
   // before.
@@ -171,14 +171,14 @@ Status Tape::adopt(Kernel &kernel) {
   Status status = parts->holds.add(kernel);
   if (!status)
     return status;
-  for (const TreePtr &tree : TapedKernel::info(kernel).trees)
+  for (const TreePtr &tree : kernel.trees())
     if (tree)
       parts->topology.watch(tree);
   const void *uses = &parts->memory.usesOf(kernel);
-  // A kernel has room for the `uses` of one tape: set them only while no other
-  // tape records.
+  // A kernel that is adopted while another tape records is adopted once more,
+  // when the other one has ended.
   if (!parts->services.recordsTogether())
-    TapedKernel::setKnown(kernel, parts->stamp, uses);
+    parts->known.add(kernel, uses);
   parts->recording.keep(kernel);
   return Status::success();
 }
@@ -187,7 +187,7 @@ Status Tape::adopt(Kernel &kernel) {
 /// yet.
 Status Tape::findUses(Kernel &kernel, const void *&uses) {
   bool isAlone = !parts->services.recordsTogether();
-  uses = TapedKernel::knownTo(kernel, parts->stamp);
+  uses = parts->known.find(kernel);
   Status status;
   if (__builtin_expect(isAlone && uses, true))
     return status;
@@ -237,15 +237,15 @@ inline Status Tape::record(Launch &launch, Kernel &kernel, const uint64_t *args,
   Status status = findUses(kernel, uses);
   if (!status)
     return status;
-  if (__builtin_expect(!kernel.hasParts() || isSuspended(), true))
+  if (__builtin_expect(!kernel.adjoint().hasParts() || isSuspended(), true))
     return launchOne(launch, kernel, uses, args, results, number);
-  for (const KernelPtr &part : kernel.plan().parts) {
+  for (const KernelPtr &part : kernel.adjoint().plan().parts) {
     status = findUses(*part, uses);
-    if (status && part->hasParts())
+    if (status && part->adjoint().hasParts())
       status = Status::failure(StatusCode::Internal,
                                "the part '" + part->name() +
                                    "' of a kernel has parts itself");
-    TapedKernel::lastLaunch(*part).store(number, std::memory_order_relaxed);
+    part->setLastLaunch(number);
     if (status)
       status = launchOne(launch, *part, uses, args,
                          part->resultSlots() > 0 ? results : nullptr, number);

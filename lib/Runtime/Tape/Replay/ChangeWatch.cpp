@@ -35,9 +35,7 @@ Status ChangeWatch::check(const TapeMemory &memory,
   services.forEachKernel([&](Kernel &kernel) {
     // A kernel without code has not run, and its summary of accesses may be
     // unfinished.
-    if (endLaunch > 0 && kernel.resolved() &&
-        TapedKernel::lastLaunch(kernel).load(std::memory_order_relaxed) >=
-            endLaunch)
+    if (endLaunch > 0 && kernel.resolved() && kernel.lastLaunch() >= endLaunch)
       addChangedBy(kernel, byKernels);
   });
   auto check = [&](const std::vector<Field *> &changed, const char *how) {

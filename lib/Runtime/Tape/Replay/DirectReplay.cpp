@@ -13,8 +13,7 @@ using namespace mlir::tai::runtime;
 bool DirectReplay::findForward() const {
   uint64_t epoch = services.epoch();
   for (const KernelPtr &kernel : recording.kernels())
-    if (!kernel->resolved() || !TapedKernel::bind(*kernel, epoch) ||
-        !TapedKernel::isDirect(*kernel))
+    if (!kernel->resolved() || !kernel->bind(epoch) || !kernel->isDirect())
       return false;
   return true;
 }
@@ -23,9 +22,9 @@ bool DirectReplay::findReverse(const TapePlan &plan,
                                const AdjointForms &forms) {
   uint64_t epoch = services.epoch();
   for (const KernelPtr &kernel : recording.kernels())
-    if (!TapedKernel::bind(*kernel, epoch) || !TapedKernel::isDirect(*kernel) ||
-        TapedKernel::adjointReexecutes(*kernel) ||
-        !kernel->plan().activity.empty())
+    if (!kernel->bind(epoch) || !kernel->isDirect() ||
+        kernel->adjoint().reexecutes() ||
+        !kernel->adjoint().plan().activity.empty())
       return false;
   adjoints.clear();
   targets.clear();
@@ -39,14 +38,12 @@ bool DirectReplay::findReverse(const TapePlan &plan,
     adjoints.push_back(adjoint);
     if (std::find(known.begin(), known.end(), adjoint) != known.end())
       continue;
-    if (!adjoint->resolve() || !TapedKernel::bind(*adjoint, epoch) ||
-        !TapedKernel::isDirect(*adjoint))
+    if (!adjoint->resolve() || !adjoint->bind(epoch) || !adjoint->isDirect())
       return false;
     known.push_back(adjoint);
-    for (Field *field : TapedKernel::targets(*recording[index].kernel))
+    for (Field *field : recording[index].kernel->tables().adjointTargets)
       targets.push_back(field->adjoint());
-    const std::vector<Field *> &changed =
-        TapedKernel::changedAdjoints(*adjoint);
+    const std::vector<Field *> &changed = adjoint->tables().changedAdjoints;
     targets.insert(targets.end(), changed.begin(), changed.end());
   }
   return true;
@@ -58,7 +55,7 @@ Status DirectReplay::call(Launch &launch, Kernel &kernel, size_t index) const {
   const TapeRecording::Record &record = recording[index];
   launch.args = recording.args(record);
   launch.launch = recording.number(record);
-  int32_t code = TapedKernel::call(kernel, launch);
+  int32_t code = kernel.callDirectly(launch);
   if (launch.arena.used())
     launch.arena.reset();
   if (__builtin_expect(code == 0 && !launch.hasFailed(), true))
@@ -69,14 +66,13 @@ Status DirectReplay::call(Launch &launch, Kernel &kernel, size_t index) const {
 
 Status DirectReplay::runForward(Launch &launch) const {
   for (const KernelPtr &kernel : recording.kernels())
-    for (Field *field : TapedKernel::changedAdjoints(*kernel))
+    for (Field *field : kernel->tables().changedAdjoints)
       field->markDirty();
   launch.results = nullptr;
   launch.seed = services.seed();
   for (size_t i = 0; i < recording.size(); ++i) {
     Kernel &kernel = *recording[i].kernel;
-    TapedKernel::lastLaunch(kernel).store(recording.number(recording[i]),
-                                          std::memory_order_relaxed);
+    kernel.setLastLaunch(recording.number(recording[i]));
     Status status = call(launch, kernel, i);
     if (!status)
       return status;

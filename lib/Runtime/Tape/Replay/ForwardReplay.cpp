@@ -52,8 +52,7 @@ Status ForwardReplay::replay(size_t index) {
   switch (record.kind) {
   case Kind::Launch: {
     uint64_t number = recording.number(record);
-    TapedKernel::lastLaunch(*record.kernel)
-        .store(number, std::memory_order_relaxed);
+    record.kernel->setLastLaunch(number);
     return services.run(launch, *record.kernel, recording.args(record), nullptr,
                         number);
   }

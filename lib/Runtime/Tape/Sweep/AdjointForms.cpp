@@ -15,8 +15,8 @@ bool AdjointForms::loadsStored(size_t index) const {
   // Stored outputs are not loaded if a host function was recorded, which can
   // change fields without the tape's knowledge, nor in forward mode, as the
   // tangents of stored outputs are not necessarily stored.
-  return kernel && TapedKernel::loadsStored(*kernel) &&
-         !recording.hasCallbacks() && !lostStored && !services.isForward() &&
+  return kernel && kernel->adjoint().stored() && !recording.hasCallbacks() &&
+         !lostStored && !services.isForward() &&
          memory.holdsStored(static_cast<uint32_t>(index));
 }
 
@@ -26,15 +26,16 @@ Status AdjointForms::find(size_t index, Kernel *&adjoint) const {
   // known() finds an adjoint that was made before, without the lock of
   // resolveAdjoint().
   if (loadsStored(index)) {
-    adjoint = TapedKernel::known(kernel, zeroes, /*stored=*/true);
+    adjoint = kernel.adjoint().known(zeroes, /*stored=*/true);
     if (adjoint)
       return Status::success();
-    Status status = kernel.resolveStoredAdjoint(adjoint, zeroes);
+    Status status = kernel.adjoint().resolveStored(adjoint, zeroes);
     if (!status || adjoint)
       return status;
   }
-  adjoint = TapedKernel::known(kernel, zeroes, /*stored=*/false);
-  return adjoint ? Status::success() : kernel.resolveAdjoint(adjoint, zeroes);
+  adjoint = kernel.adjoint().known(zeroes, /*stored=*/false);
+  return adjoint ? Status::success()
+                 : kernel.adjoint().resolve(adjoint, zeroes);
 }
 
 std::vector<PendingAdjoint> AdjointForms::pending() const {
@@ -46,7 +47,7 @@ std::vector<PendingAdjoint> AdjointForms::pending() const {
     if (!kernel || plan[index] == TapePlan::Decision::Unpruned)
       continue;
     PendingAdjoint entry = {kernel, plan.zeroesAt(index), loadsStored(index)};
-    if (!TapedKernel::isAsked(*kernel, entry.zeroes, entry.loadsStored) &&
+    if (!kernel->adjoint().isAsked(entry.zeroes, entry.loadsStored) &&
         std::find(pending.begin(), pending.end(), entry) == pending.end())
       pending.push_back(entry);
   }
@@ -56,9 +57,9 @@ std::vector<PendingAdjoint> AdjointForms::pending() const {
 Status PendingAdjoint::resolve() const {
   Kernel *adjoint = nullptr;
   if (loadsStored) {
-    Status status = kernel->resolveStoredAdjoint(adjoint, zeroes);
+    Status status = kernel->adjoint().resolveStored(adjoint, zeroes);
     if (!status || adjoint)
       return status;
   }
-  return kernel->resolveAdjoint(adjoint, zeroes);
+  return kernel->adjoint().resolve(adjoint, zeroes);
 }

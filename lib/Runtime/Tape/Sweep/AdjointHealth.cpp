@@ -93,7 +93,7 @@ void AdjointHealth::examine(size_t index, const std::vector<Field *> &live) {
 void AdjointHealth::examine(const TapeRecording &recording, size_t index) {
   const TapeRecording::Record &record = recording[index];
   const uint64_t *args = recording.args(record);
-  for (const Field *field : TapedKernel::targets(*record.kernel)) {
+  for (const Field *field : record.kernel->tables().adjointTargets) {
     // Examines the position that all reads of the record share, or else the
     // whole field.
     int64_t dimension = -1, position = -1;

@@ -54,7 +54,7 @@ Status ReverseSweep::replay(Launch &launch, size_t index) {
     return zeroWritten(recording.write(record));
   if (memory.empty())
     return runAdjoint(launch, index);
-  bool changes = TapedKernel::adjointReexecutes(*record.kernel);
+  bool changes = record.kernel->adjoint().reexecutes();
   Status status = memory.enter(static_cast<uint32_t>(index), changes);
   if (!status)
     return status;
@@ -69,7 +69,7 @@ Status ReverseSweep::runAdjoint(Launch &launch, size_t index) {
   const uint64_t *args = recording.args(record);
   // A launch is skipped if the adjoints of its results and of the fields that
   // it changes are zero.
-  const std::vector<Field *> &sources = TapedKernel::sources(kernel);
+  const std::vector<Field *> &sources = kernel.tables().adjointSources;
   const CallerAdjoints &caller = kernel.callerAdjoints();
   if (services.skips(Skip::DeadLaunches) && !caller.results.empty() &&
       std::none_of(sources.begin(), sources.end(),
@@ -128,7 +128,7 @@ Status ReverseSweep::zeroWritten(const HostWrite &write) {
 Status ReverseSweep::findLoops(Kernel &kernel, LoopLists &lists) {
   // The lists hold the activity after the whole host function, since the
   // activity after the single launch in it is not known.
-  for (SparseNode *node : TapedKernel::sparseNodes(kernel))
+  for (SparseNode *node : kernel.tables().sparseNodes)
     lists.addUnknown(
         *node, node->list(),
         topology.changes(static_cast<uint32_t>(hostFunction), *node));
@@ -136,9 +136,9 @@ Status ReverseSweep::findLoops(Kernel &kernel, LoopLists &lists) {
 }
 
 Status ReverseSweep::checkActivity(Kernel &kernel, size_t index) const {
-  if (TapedKernel::sparseNodes(kernel).empty())
+  if (kernel.tables().sparseNodes.empty())
     return Status::success();
-  for (const FieldPtr &field : kernel.plan().activity)
+  for (const FieldPtr &field : kernel.adjoint().plan().activity)
     for (const SparseNode *node = field->sparseNode(); node;
          node = node->above())
       if (topology.changes(static_cast<uint32_t>(index), *node))

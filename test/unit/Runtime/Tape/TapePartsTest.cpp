@@ -216,7 +216,7 @@ TEST(ChangeWatch, TellsWhatMatters) {
 TEST(AdjointHealth, LooksAtWhatWasAddedTo) {
   Scene scene;
   KernelPtr kernel = scene.noting();
-  ASSERT_OK(TapedKernel::bind(*kernel, scene.services.epoch()));
+  ASSERT_OK(kernel->bind(scene.services.epoch()));
   uint64_t argument = 0;
   TapeRecording recording;
   recording.addLaunch(*kernel, &argument, 0);
