@@ -100,7 +100,7 @@ void taiContextInterrupt(TaiContext context) {
 }
 
 void taiContextClearInterrupt(TaiContext context) {
-  context->session.getRuntime().clearInterrupt();
+  context->session.getRuntime().launcher().clearInterrupt();
 }
 
 void taiContextSetPrintHandler(TaiContext context, TaiPrintHandler handler,
@@ -153,7 +153,7 @@ TaiStatus taiContextDestroyTree(TaiContext context, const char *name) {
 static runtime::SparseNode *findLevel(TaiContext context, const char *name,
                                       int64_t level, TaiStatus &status,
                                       runtime::TreePtr *found = nullptr) {
-  runtime::TreePtr tree = context->session.getRuntime().findTree(name);
+  runtime::TreePtr tree = context->session.getRuntime().store().findTree(name);
   if (found)
     *found = tree;
   bool known =
@@ -289,7 +289,7 @@ TaiStatus taiFieldWriteF64(TaiField handle, const int64_t *indices,
                            int64_t component, double value) {
   return call(handle->context, [&]() -> TaiStatus {
     TaiContextImpl &context = handle->context;
-    return context.status(context.session.getRuntime().writeF64(
+    return context.status(context.session.getRuntime().writes().writeF64(
         *handle->field, indices, component, value));
   });
 }
@@ -307,7 +307,7 @@ TaiStatus taiFieldWriteI64(TaiField handle, const int64_t *indices,
                            int64_t component, int64_t value) {
   return call(handle->context, [&]() -> TaiStatus {
     TaiContextImpl &context = handle->context;
-    return context.status(context.session.getRuntime().writeI64(
+    return context.status(context.session.getRuntime().writes().writeI64(
         *handle->field, indices, component, value));
   });
 }
@@ -324,7 +324,7 @@ TaiStatus taiFieldWriteElements(TaiField handle, const int64_t *indices,
                                 int64_t count, const void *values) {
   return call(handle->context, [&]() -> TaiStatus {
     TaiContextImpl &context = handle->context;
-    return context.status(context.session.getRuntime().writeElements(
+    return context.status(context.session.getRuntime().writes().writeElements(
         *handle->field, indices, count, values));
   });
 }
@@ -352,7 +352,7 @@ TaiStatus taiFieldCopyToHost(TaiField handle, void *array) {
   return call(handle->context, [&]() -> TaiStatus {
     TaiContextImpl &context = handle->context;
     return context.status(
-        context.session.getRuntime().copyToHost(*handle->field, array));
+        context.session.getRuntime().copies().copyOut(*handle->field, array));
   });
 }
 
@@ -360,7 +360,7 @@ TaiStatus taiFieldCopyFromHost(TaiField handle, const void *array) {
   return call(handle->context, [&]() -> TaiStatus {
     TaiContextImpl &context = handle->context;
     return context.status(
-        context.session.getRuntime().copyFromHost(*handle->field, array));
+        context.session.getRuntime().writes().copyIn(*handle->field, array));
   });
 }
 
@@ -368,7 +368,7 @@ TaiStatus taiFieldFillF64(TaiField handle, double value) {
   return call(handle->context, [&]() -> TaiStatus {
     TaiContextImpl &context = handle->context;
     return context.status(
-        context.session.getRuntime().fillF64(*handle->field, value));
+        context.session.getRuntime().writes().fillF64(*handle->field, value));
   });
 }
 
@@ -376,19 +376,19 @@ TaiStatus taiFieldFillI64(TaiField handle, int64_t value) {
   return call(handle->context, [&]() -> TaiStatus {
     TaiContextImpl &context = handle->context;
     return context.status(
-        context.session.getRuntime().fillI64(*handle->field, value));
+        context.session.getRuntime().writes().fillI64(*handle->field, value));
   });
 }
 
 TaiStatus taiContextClearTangents(TaiContext context) {
   return call(*context, [&]() -> TaiStatus {
-    context->session.getRuntime().clearTangents();
+    context->session.getRuntime().gradients().clearTangents();
     return TAI_OK;
   });
 }
 
 TaiStatus taiContextClearGradients(TaiContext context) {
   return call(*context, [&]() -> TaiStatus {
-    return context->status(context->session.getRuntime().clearGradients());
+    return context->status(context->session.getRuntime().gradients().clear());
   });
 }

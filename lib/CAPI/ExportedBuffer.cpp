@@ -35,19 +35,21 @@ TaiStatus taiFieldNoteWrite(TaiField field) {
   return call(field->context, [&]() -> TaiStatus {
     TaiContextImpl &context = field->context;
     return context.status(
-        context.session.getRuntime().noteOutsideWrite(*field->field));
+        context.session.getRuntime().writes().noteOutside(*field->field));
   });
 }
 
 TaiStatus taiContextWaitForStream(TaiContext context, uint64_t stream) {
   return call(*context, [&]() -> TaiStatus {
-    return context->status(context->session.getRuntime().waitForStream(stream));
+    return context->status(
+        context->session.getRuntime().devices().waitForStream(stream));
   });
 }
 
 TaiStatus taiContextLetStreamWait(TaiContext context, uint64_t stream) {
   return call(*context, [&]() -> TaiStatus {
-    return context->status(context->session.getRuntime().letStreamWait(stream));
+    return context->status(
+        context->session.getRuntime().devices().letStreamWait(stream));
   });
 }
 
@@ -55,20 +57,20 @@ TaiStatus taiContextAllocateOnDevice(TaiContext context, int64_t bytes,
                                      void **address) {
   return call(*context, [&]() -> TaiStatus {
     return context->status(
-        context->session.getRuntime().allocateOnDevice(bytes, *address));
+        context->session.getRuntime().devices().allocate(bytes, *address));
   });
 }
 
 void taiContextFreeOnDevice(TaiContext context, void *address) {
   callQuietly(*context,
-              [&] { context->session.getRuntime().freeOnDevice(address); });
+              [&] { context->session.getRuntime().devices().free(address); });
 }
 
 TaiStatus taiContextCopyOnDevice(TaiContext context, void *to, const void *from,
                                  int64_t bytes) {
   return call(*context, [&]() -> TaiStatus {
     return context->status(
-        context->session.getRuntime().copyOnDevice(to, from, bytes));
+        context->session.getRuntime().devices().copy(to, from, bytes));
   });
 }
 
@@ -76,13 +78,13 @@ TaiStatus taiContextReadOnDevice(TaiContext context, const void *from,
                                  int64_t step, int64_t bytes, int64_t rows,
                                  void *to) {
   return call(*context, [&]() -> TaiStatus {
-    return context->status(context->session.getRuntime().readOnDevice(
+    return context->status(context->session.getRuntime().devices().read(
         from, step, bytes, rows, to));
   });
 }
 
 int taiContextIsOnDevice(TaiContext context, const void *address) {
-  return context->session.getRuntime().isOnDevice(address);
+  return context->session.getRuntime().devices().isThere(address);
 }
 
 int taiContextIsOnGpu(TaiContext context) {

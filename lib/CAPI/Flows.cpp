@@ -57,12 +57,12 @@ void taiContextFollowTangents(TaiContext context, const TaiField *inputs,
 
 const char *taiContextLostTangents(TaiContext context, const TaiField *outputs,
                                    int64_t count) {
-  return callOr(*context, static_cast<const char *>(nullptr),
-                [&]() -> const char * {
-                  context->lostTangents =
-                      llvm::join(context->session.getRuntime().lostTangents(
-                                     getFields(outputs, count)),
-                                 "\n");
-                  return context->lostTangents.c_str();
-                });
+  return callOr(
+      *context, static_cast<const char *>(nullptr), [&]() -> const char * {
+        context->lostTangents =
+            llvm::join(context->session.getRuntime().launcher().lostTangents(
+                           getFields(outputs, count)),
+                       "\n");
+        return context->lostTangents.c_str();
+      });
 }

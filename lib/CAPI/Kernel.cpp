@@ -70,7 +70,7 @@ TaiStatus taiModuleWrite(TaiContext context, MlirModule module,
 void taiKernelDestroy(TaiKernel kernel) {
   callQuietly(kernel->context, [&] {
     TaiContextImpl &context = kernel->context;
-    context.session.getRuntime().running().waitForVisits();
+    context.session.getRuntime().launcher().running().waitForVisits();
     if (TaiProgramImpl *program = kernel->program)
       program->kernels.erase(kernel->kernel->code->getName());
     else

@@ -171,7 +171,7 @@ void taiProgramDestroy(TaiProgram program) {
     return;
   callQuietly(program->context, [&] {
     TaiContextImpl &context = program->context;
-    context.session.getRuntime().running().waitForVisits();
+    context.session.getRuntime().launcher().running().waitForVisits();
     for (auto &kernel : program->kernels)
       context.kernels.drop(kernel.second);
     context.programs.drop(program);
@@ -277,10 +277,10 @@ TaiStatus taiContextFindField(TaiContext context, const char *name,
       return refuseNull(*context, name ? "field" : "name");
     StringRef bare = withoutAt(name);
     runtime::Runtime &rt = context->session.getRuntime();
-    runtime::FieldPtr found = rt.findField(bare.str());
+    runtime::FieldPtr found = rt.store().findField(bare.str());
     if (!found) {
       SmallVector<std::string> names;
-      for (const runtime::FieldPtr &other : rt.fields())
+      for (const runtime::FieldPtr &other : rt.store().fields())
         names.push_back(other->name());
       return context->usage("there is no field '" + bare + "'" +
                             describeNames(names));
@@ -350,7 +350,7 @@ TaiStatus taiContextRunFunction(TaiContext context, TaiFunction function,
     if (!function || (numTrees > 0 && !trees))
       return refuseNull(*context, function ? "trees" : "function");
     runtime::Runtime &rt = context->session.getRuntime();
-    const runtime::Recorder *tape = rt.recordingTape();
+    const runtime::Recorder *tape = rt.recordings().current();
     if (tape && !tape->isSuspended())
       return context->usage("a tape cannot record code that was compiled ahead "
                             "of time: it does not know the accesses; suspend "
@@ -359,7 +359,7 @@ TaiStatus taiContextRunFunction(TaiContext context, TaiFunction function,
     for (int64_t i = 0; i < numTrees; ++i) {
       if (!trees[i])
         return refuseNull(*context, "trees[" + std::to_string(i) + "]");
-      given.push_back(rt.findTree(withoutAt(trees[i]).str()));
+      given.push_back(rt.store().findTree(withoutAt(trees[i]).str()));
       if (!given.back())
         return context->usage(Twine("there is no tree '") + trees[i] + "'");
     }

@@ -225,7 +225,8 @@ static LogicalResult run(Session &session, const Options &given) {
 static LogicalResult printFields(Session &session, const Options &given) {
   for (const std::string &name : given.printedFields) {
     StringRef bare = StringRef(name).ltrim('@');
-    runtime::FieldPtr field = session.getRuntime().findField(bare.str());
+    runtime::FieldPtr field =
+        session.getRuntime().store().findField(bare.str());
     if (!field)
       return session.fail(FailureKind::Usage,
                           "there is no field '" + bare + "' to print");

@@ -92,6 +92,6 @@ runtime::Status KernelCode::makeChecked(runtime::CheckedKernel &checked) {
   info.trees = findTrees(compiled->trees);
   info.summary = summarize(services.rt, *source.module, getKernel());
   info.function = reinterpret_cast<TaiKernelFn>(compiled->address);
-  checked.kernel = services.rt.createKernel(std::move(info));
+  checked.kernel = services.rt.launcher().kernels().create(std::move(info));
   return runtime::Status::success();
 }

@@ -220,7 +220,7 @@ void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
   // A launch while the tape is suspended belongs to a custom gradient, which
   // launches the adjoint by hand: in the form that sets adjoints to zero and
   // does not load stored values (see Launcher::launchAdjoint).
-  const runtime::Recorder *tape = services.rt.recordingTape();
+  const runtime::Recorder *tape = services.rt.recordings().current();
   bool isByHand = tape && tape->isSuspended();
   planLoadsStored = !isByHand;
   // The adjoint that a user has written has no form that sets more adjoints to
@@ -235,7 +235,7 @@ runtime::Status KernelCode::compile(runtime::Kernel &kernel,
   // Under a tape, the adjoint will soon be needed, so it is compiled on another
   // core, while this thread goes on with the forward pass.
   choosePlannedForm(kernel);
-  if (services.rt.recordingTape() && !ahead && carriesGradients(kernel))
+  if (services.rt.recordings().current() && !ahead && carriesGradients(kernel))
     ahead = services.background.start(
         [this] { aheadResult = compilePlannedAdjoint(aheadFailure); });
   Failure failure;
@@ -367,7 +367,7 @@ runtime::Status KernelCode::makeAdjoint(runtime::Kernel &kernel,
     return services.failures.keep(std::move(failure));
   if (!compiled->address)
     return runtime::Status::success();
-  adjoint = services.rt.createKernel(
+  adjoint = services.rt.launcher().kernels().create(
       getFormInfo(*compiled, goal, /*forward=*/false, "_grad"));
   return runtime::Status::success();
 }
@@ -392,7 +392,7 @@ runtime::Status KernelCode::makeTangentOf(Goal goal,
                                          isPrimal ? "_fwd" : "_grad_fwd");
   if (isPrimal)
     info.resultSlots = source.resultSlots;
-  tangent = services.rt.createKernel(std::move(info));
+  tangent = services.rt.launcher().kernels().create(std::move(info));
   return runtime::Status::success();
 }
 

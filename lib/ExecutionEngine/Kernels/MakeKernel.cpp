@@ -201,13 +201,15 @@ FailureOr<MadeKernel> mlir::tai::makeKernel(const KernelServices &services,
   info.callerAdjoints = std::move(*adjoints);
   info.summary = summarize(rt, *module, op);
   for (TreeOp tree : module->getOps<TreeOp>())
-    source.trees.push_back(rt.findTree(tree.getSymName().str()));
+    source.trees.push_back(rt.store().findTree(tree.getSymName().str()));
   for (FieldOp field : module->getOps<FieldOp>())
-    if (runtime::FieldPtr known = rt.findField(field.getSymName().str()))
+    if (runtime::FieldPtr known =
+            rt.store().findField(field.getSymName().str()))
       source.fields[field.getSymName()] = known;
   info.trees = source.trees;
   source.module = std::move(module);
   auto code = std::make_shared<KernelCode>(services, std::move(source));
   info.provider = code;
-  return MadeKernel{std::move(code), services.rt.createKernel(std::move(info))};
+  return MadeKernel{std::move(code),
+                    services.rt.launcher().kernels().create(std::move(info))};
 }

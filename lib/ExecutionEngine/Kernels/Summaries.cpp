@@ -35,7 +35,7 @@ std::vector<runtime::Access> mlir::tai::summarize(const runtime::Runtime &rt,
     if (isa<KernelOp>(op) && &op != kernel)
       continue;
     for (NamedAccess &access : listAccesses(&op)) {
-      runtime::FieldPtr field = rt.findField(access.field);
+      runtime::FieldPtr field = rt.store().findField(access.field);
       if (!field)
         continue;
       runtime::Access line{field, access.kind, std::move(access.fixed)};
@@ -45,8 +45,9 @@ std::vector<runtime::Access> mlir::tai::summarize(const runtime::Runtime &rt,
     // Deactivating a cell sets all levels and fields below it to zero, not only
     // the named field.
     op.walk([&](DeactivateOp deactivate) {
-      runtime::FieldPtr named = rt.findField(deactivate.getField().str());
-      for (const runtime::FieldPtr &field : rt.fields()) {
+      runtime::FieldPtr named =
+          rt.store().findField(deactivate.getField().str());
+      for (const runtime::FieldPtr &field : rt.store().fields()) {
         if (!named || &field->tree() != &named->tree() ||
             !field->sparseNode() || field->isAdjoint())
           continue;

@@ -123,8 +123,9 @@ LogicalResult Declarations::addTree(TreeOp tree) {
   RootType root = tree.getLayout();
   auto layout = std::make_unique<TreeLayout>(root, dataLayout);
   runtime::TreePtr made;
-  if (failed(failures.check(rt.addTree(name.str(), layout->getTreeSize().total,
-                                       made, describeSparse(root, *layout)))))
+  if (failed(failures.check(
+          rt.store().addTree(name.str(), layout->getTreeSize().total, made,
+                             describeSparse(root, *layout)))))
     return failure();
   symbols.insert(tree.clone());
   layouts[name] = std::move(layout);
@@ -269,7 +270,7 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
       layouts.find(field.getTree())->second->getFieldStorage(*layout);
   runtime::FieldInfo info;
   info.name = name.str();
-  info.tree = rt.findTree(field.getTree().str());
+  info.tree = rt.store().findTree(field.getTree().str());
   Type scalar = field.getType();
   if (auto vector = dyn_cast<VectorType>(scalar)) {
     scalar = vector.getElementType();
@@ -308,7 +309,7 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   if (field.getDual())
     info.dual = field.getDual()->str();
   runtime::FieldPtr made;
-  if (failed(failures.check(rt.addField(std::move(info), made))))
+  if (failed(failures.check(rt.store().addField(std::move(info), made))))
     return failure();
   // Kernels see the declaration without its initial contents, on which no
   // kernel depends.
@@ -316,7 +317,7 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   declaration.removeInitialAttr();
   symbols.insert(declaration);
   if (!contents->empty() &&
-      failed(failures.check(rt.copyFromHost(*made, contents->data()))))
+      failed(failures.check(rt.writes().copyIn(*made, contents->data()))))
     return failure();
   return made;
 }

@@ -148,7 +148,7 @@ private:
     for (Operation &held : llvm::make_early_inc_range(*source->getBody())) {
       auto name = SymbolTable::getSymbolName(&held);
       if (auto field = dyn_cast<FieldOp>(held)) {
-        if (session.getRuntime().findField(name.str()) !=
+        if (session.getRuntime().store().findField(name.str()) !=
             kernel.code->findField(name))
           return refuse("field '" + name.getValue() + "' of kernel '" +
                         kernel.code->getName() + "' is gone");
@@ -186,7 +186,7 @@ private:
   LogicalResult takeContents() {
     for (FieldOp op : module->getOps<FieldOp>()) {
       runtime::FieldPtr field =
-          session.getRuntime().findField(op.getSymName().str());
+          session.getRuntime().store().findField(op.getSymName().str());
       if (!field)
         return refuse("field '" + op.getSymName() + "' is gone");
       if (field->isAdjoint())
@@ -195,7 +195,7 @@ private:
       std::vector<char> array(
           static_cast<size_t>(count * runtime::byteSize(field->scalar())));
       if (failed(session.check(
-              session.getRuntime().copyToHost(*field, array.data()))))
+              session.getRuntime().copies().copyOut(*field, array.data()))))
         return failure();
       if (llvm::all_of(array, [](char byte) { return byte == 0; }))
         continue;

@@ -132,10 +132,10 @@ Session::~Session() { background.stop(); }
 
 SessionObjects Session::countObjects() {
   SessionObjects held;
-  held.trees = rt->numTrees();
-  held.fields = static_cast<int64_t>(rt->fields().size());
+  held.trees = rt->store().trees().size();
+  held.fields = static_cast<int64_t>(rt->store().fields().size());
   held.declarations = declarations->size();
-  held.kernels = rt->numKernels();
+  held.kernels = rt->launcher().kernels().size();
   held.codes = codeNames.size();
   held.linked = compiler->numLinked();
   held.failures = failures.numKept();
@@ -264,7 +264,7 @@ LogicalResult Session::runHost(
     const HostFunction &function,
     const std::function<SessionKernel *(StringRef name)> &findKernel) {
   // A tape records launches only, not the loads and stores of a host function.
-  const runtime::Recorder *tape = rt->recordingTape();
+  const runtime::Recorder *tape = rt->recordings().current();
   if (function.usesFields && tape && !tape->isSuspended())
     return fail(FailureKind::Usage,
                 "a tape cannot record the loads and stores of fields in '@" +
@@ -279,7 +279,7 @@ LogicalResult Session::runHost(
   };
   std::vector<runtime::TreePtr> trees;
   for (const std::string &tree : function.code.trees) {
-    trees.push_back(rt->findTree(tree));
+    trees.push_back(rt->store().findTree(tree));
     if (!trees.back())
       return fail(FailureKind::Usage, "'@" + function.name + "' uses tree '" +
                                           tree + "', which has been destroyed");

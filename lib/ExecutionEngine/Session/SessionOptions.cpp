@@ -55,7 +55,7 @@ void Session::useCache(StringRef folder) {
 
 void Session::keepChoices(runtime::KeptChoices kept) {
   keptChoices = std::move(kept);
-  rt->keepBlockSizes(keptChoices);
+  rt->launcher().onDevice().keepBlockSizes(keptChoices);
   if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
     queue->keepChoices(keptChoices);
 }
@@ -367,7 +367,7 @@ LogicalResult Session::setArch(StringRef name) {
 
 LogicalResult Session::setFuseLaunches(bool on) {
   fuseLaunches = on;
-  rt->setFuseLaunches(on);
+  rt->launcher().setFuse(on);
   if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
     queue->setMode(on ? runtime::ProgramMode::Automatic
                       : runtime::ProgramMode::Launches);

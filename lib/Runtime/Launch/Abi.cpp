@@ -92,9 +92,10 @@ extern "C" void tai_rt_parallel_for(TaiFrame *frame, TaiLoopBody body,
   }
   Loop loop{&launch, body, closure, n, std::min<int64_t>(parts, INT32_MAX)};
   orFail(frame, [&] {
-    launch.owner().parallel(loop.parts, runPart, &loop, [](void *context) {
-      (void)static_cast<Loop *>(context)->launch->look();
-    });
+    launch.owner().workers().parallel(
+        loop.parts, runPart, &loop, [](void *context) {
+          (void)static_cast<Loop *>(context)->launch->look();
+        });
   });
 }
 
@@ -126,7 +127,7 @@ static void zero(Launch &launch, char *address, int64_t bytes) {
     return;
   }
   Zeroing zeroing{address, bytes, parts};
-  launch.owner().parallel(
+  launch.owner().workers().parallel(
       parts,
       [](void *context, int64_t part) {
         Zeroing &zeroing = *static_cast<Zeroing *>(context);
@@ -141,7 +142,7 @@ static void zero(Launch &launch, char *address, int64_t bytes) {
 /// Allocates scratch memory for a launch; without memory, fails the launch and
 /// returns null.
 static void *tryScratch(Launch &launch, int64_t bytes, const char *purpose) {
-  int64_t limit = std::min(launch.owner().memoryLimit(), largestScratch);
+  int64_t limit = std::min(launch.owner().memory().limit(), largestScratch);
   if (bytes >= 0 && bytes <= limit) {
     int64_t dirty = 0;
     int64_t rounded = std::max<int64_t>((bytes + 63) / 64 * 64, 64);
@@ -195,7 +196,7 @@ extern "C" void tai_rt_stack_grow(TaiFrame *frame, TaiStack *stack) {
   int64_t bytes = stack->capacity * static_cast<int64_t>(sizeof(int64_t));
   char *grown = stack->slots == own ? nullptr : stack->slots;
   void *larger = nullptr;
-  if (bytes <= launch.owner().memoryLimit() / 2)
+  if (bytes <= launch.owner().memory().limit() / 2)
     larger = std::realloc(grown, static_cast<size_t>(2 * bytes));
   if (!larger) {
     orFail(frame, [&] {

@@ -82,7 +82,7 @@ static void launchOnDevice(Launch &launch, int32_t number, int64_t iterations,
   DeviceLaunch *onDevice = working(launch);
   if (!onDevice || iterations == 0)
     return;
-  if (__builtin_expect(launch.owner().interruptRequested(), false)) {
+  if (__builtin_expect(launch.owner().launcher().interruptRequested(), false)) {
     launch.fail(failAsInterrupted());
     return;
   }

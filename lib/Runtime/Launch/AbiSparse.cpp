@@ -57,7 +57,7 @@ static bool checkCell(TaiFrame *frame, const SparseNode &node, int64_t cell,
 /// fails the launch.
 static bool checkMemory(TaiFrame *frame, const SparseNode &node,
                         const char *where) {
-  Status status = launchOf(frame).owner().checkActiveBytes(node, 1);
+  Status status = launchOf(frame).owner().memory().checkCells(node, 1);
   if (status)
     return true;
   failAt(frame, status.code(), status.message(), where);

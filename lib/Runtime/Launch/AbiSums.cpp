@@ -330,7 +330,7 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target, void *buffers,
           if (cuts == 1)
             run(&combining, 0);
           else
-            launch.owner().parallel(cuts, run, &combining);
+            launch.owner().workers().parallel(cuts, run, &combining);
         });
   });
   left(launch, buffers, stride * parts);
@@ -427,7 +427,7 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
           if (cuts == 1)
             run(&combining, 0);
           else
-            launch.owner().parallel(cuts, run, &combining);
+            launch.owner().workers().parallel(cuts, run, &combining);
         });
   });
   left(launch, buffers, combining.bufferStride * parts);

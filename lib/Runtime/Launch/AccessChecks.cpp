@@ -47,7 +47,7 @@ Status AccessChecks::findShadow(Field &field, const Shadow *&result) {
 
 Status AccessChecks::run(Launch &launch, Kernel &kernel, const uint64_t *args,
                          uint64_t *results, uint64_t number) {
-  if (runtime.isForward())
+  if (runtime.recordings().isForward())
     return Status::failure(StatusCode::Usage,
                            "a tape cannot check the access rules in forward "
                            "mode; check them in a run of its own");
@@ -56,7 +56,7 @@ Status AccessChecks::run(Launch &launch, Kernel &kernel, const uint64_t *args,
   if (!status)
     return status;
   if (!checked || checked->accesses.empty())
-    return runtime.run(launch, kernel, args, results, number);
+    return runtime.launcher().run(launch, kernel, args, results, number);
   int64_t count = static_cast<int64_t>(checked->accesses.size());
   if (nextBase + count > std::numeric_limits<int32_t>::max())
     return Status::failure(StatusCode::Usage,
@@ -79,7 +79,8 @@ Status AccessChecks::run(Launch &launch, Kernel &kernel, const uint64_t *args,
   slots.push_back(static_cast<uint64_t>(nextBase));
   ranges.push_back({nextBase, checked, static_cast<int64_t>(ranges.size())});
   nextBase += count;
-  status = runtime.run(launch, *checked->kernel, slots.data(), results, number);
+  status = runtime.launcher().run(launch, *checked->kernel, slots.data(),
+                                  results, number);
   if (status)
     collect(ranges.back());
   return status;

@@ -110,7 +110,8 @@ bool Launch::look() {
   if (safepoint::isWorker())
     return !hasFailed();
   __atomic_store_n(&tick, safepoint::now(), __ATOMIC_RELAXED);
-  if (!hasFailed() && !owner().interruptRequested() && safepoint::look())
+  if (!hasFailed() && !owner().launcher().interruptRequested() &&
+      safepoint::look())
     return true;
   fail(failAsInterrupted());
   // The tick in the frame is cleared, so that worker threads call look() at

@@ -152,7 +152,7 @@ Launch::withoutZeroAdjoints(const SparseNode &node,
   job.parts = std::clamp<int64_t>(count * bytes / bytesPerPart, 1,
                                   2 * int64_t(owner().threads()));
   job.kept.resize(static_cast<size_t>(job.parts));
-  owner().parallel(
+  owner().workers().parallel(
       job.parts,
       [](void *context, int64_t part) {
         Job &job = *static_cast<Job *>(context);

@@ -60,7 +60,7 @@ Status mlir::tai::runtime::runHost(Runtime &runtime, TaiKernelFn function,
   HostState state;
   state.module = &module;
   state.trees = &trees;
-  Launch *launch = runtime.acquireLaunch();
+  Launch *launch = runtime.launcher().acquire();
   launch->host = &state;
   launch->loopTimes = nullptr;
   launch->trees = bases.data();
@@ -81,7 +81,7 @@ Status mlir::tai::runtime::runHost(Runtime &runtime, TaiKernelFn function,
                                  : Status::failure(StatusCode::Internal,
                                                    "the host program failed");
   }
-  runtime.releaseLaunch(launch);
+  runtime.launcher().release(launch);
   return status ? runtime.synchronize() : std::move(status);
 }
 
@@ -110,7 +110,7 @@ static int32_t returnTo(Launch &launch, Status status) {
 }
 
 static FieldPtr findField(Launch &launch, const char *name) {
-  return launch.owner().findField(*name == '@' ? name + 1 : name);
+  return launch.owner().store().findField(*name == '@' ? name + 1 : name);
 }
 
 extern "C" int32_t tai_rt_host_launch(TaiFrame *frame, const char *name,
@@ -519,7 +519,7 @@ Status mlir::tai::runtime::checkGradient(Runtime &runtime, const FieldPtr &loss,
   HostState state;
   state.module = &module;
   state.trees = &trees;
-  Launch *launch = runtime.acquireLaunch();
+  Launch *launch = runtime.launcher().acquire();
   launch->host = &state;
   // `run` is a C function pointer and cannot capture `region`, which it gets
   // through its data argument.
@@ -538,6 +538,6 @@ Status mlir::tai::runtime::checkGradient(Runtime &runtime, const FieldPtr &loss,
   launch->host = nullptr;
   Status status =
       launch->hasFailed() ? launch->takeFailure() : Status::success();
-  runtime.releaseLaunch(launch);
+  runtime.launcher().release(launch);
   return status ? runtime.synchronize() : std::move(status);
 }

@@ -45,7 +45,7 @@ private:
 Status Tape::clearGradients() {
   ReleasedAtEnd releasing(*this);
   Status status = parts->holds.hold();
-  return status ? parts->services.owner().clearGradients(this)
+  return status ? parts->services.owner().gradients().clear(this)
                 : std::move(status);
 }
 
@@ -134,7 +134,7 @@ Status Tape::backward() {
 
 Status Tape::replay(bool forward, bool reverse) {
   Runtime &runtime = parts->services.owner();
-  if (runtime.recordingTape())
+  if (runtime.recordings().current())
     return Status::failure(StatusCode::Usage,
                            "a tape cannot be replayed while one is being "
                            "recorded");
@@ -153,7 +153,7 @@ Status Tape::replayAll(bool forward, bool reverse) {
   Runtime &runtime = parts->services.owner();
   Status status;
   if (reverse)
-    status = runtime.clearGradients(this);
+    status = runtime.gradients().clear(this);
   else
     runtime.settleZeros([this](const FieldPtr &field) { return uses(field); });
   if (forward && status) {
@@ -305,7 +305,8 @@ Status Tape::runRecord(int64_t index) {
                            "records");
   const TapeRecording &records = parts->recording;
   const TapeRecording::Record &record = records[static_cast<size_t>(index)];
-  auto *other = static_cast<Tape *>(parts->services.owner().recordingTape());
+  auto *other =
+      static_cast<Tape *>(parts->services.owner().recordings().current());
   if (record.kind == TapeRecording::Kind::Write)
     return parts->services.change(records.write(record));
   if (!record.kernel) {

@@ -24,7 +24,7 @@ class TapeServices {
 public:
   explicit TapeServices(Runtime &runtime) : runtime(runtime) {}
   Runtime &owner() const { return runtime; }
-  bool isForward() const { return runtime.isForward(); }
+  bool isForward() const { return runtime.recordings().isForward(); }
   bool skips(Skip skip) const { return runtime.skips(skip); }
   void count(SkipCount what, int64_t n = 1) const {
     runtime.skipCounters().bump(what, n);
@@ -34,28 +34,33 @@ public:
   // Launches
   //===--------------------------------------------------------------------===//
 
-  Status ready(Kernel &kernel) const { return runtime.ready(kernel); }
+  Status ready(Kernel &kernel) const {
+    return runtime.launcher().ready(kernel);
+  }
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number) const {
-    return runtime.run(launch, kernel, args, results, number);
+    return runtime.launcher().run(launch, kernel, args, results, number);
   }
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
                     const uint64_t *args, uint64_t number,
                     const LoopLists *given) const {
-    return runtime.runAdjoint(launch, kernel, adjoint, args, number, given);
+    return runtime.launcher().runAdjoint(launch, kernel, adjoint, args, number,
+                                         given);
   }
   static Status failureOf(Launch &launch, const Kernel &kernel) {
-    return Runtime::failureOf(launch, kernel);
+    return Launcher::failureOf(launch, kernel);
   }
-  Launch *acquireLaunch() const { return runtime.acquireLaunch(); }
-  void releaseLaunch(Launch *launch) const { runtime.releaseLaunch(launch); }
+  Launch *acquireLaunch() const { return runtime.launcher().acquire(); }
+  void releaseLaunch(Launch *launch) const {
+    runtime.launcher().release(launch);
+  }
   void noteFailure(Status status) const {
-    runtime.noteFailure(std::move(status));
+    runtime.devices().noteFailure(std::move(status));
   }
   uint64_t seed() const { return runtime.options().seed; }
   /// True if launches need no steps of the runtime around the call of the
   /// kernel's code.
-  bool runsDirectly() const { return runtime.runsDirectly(); }
+  bool runsDirectly() const { return runtime.launcher().runsDirectly(); }
 
   /// The number of the next launch; takeLaunches reserves `count` numbers, and
   /// exchangeNextLaunch sets it for re-executed launches; both return the
@@ -89,7 +94,7 @@ public:
     runtime.recordings().release(tape, field);
   }
   Status checkHold(const Field &field, HoldKind kind) const {
-    return runtime.checkHold(field, kind);
+    return runtime.recordings().check(field, kind);
   }
   /// Bracket a period in which a tape holds fields.
   void beginHolding() const { runtime.recordings().beginHolding(); }
@@ -112,21 +117,25 @@ public:
   // Storage
   //===--------------------------------------------------------------------===//
 
-  const std::vector<FieldPtr> &fields() const { return runtime.fields(); }
+  const std::vector<FieldPtr> &fields() const {
+    return runtime.store().fields();
+  }
   uint64_t epoch() const { return runtime.storageEpoch(); }
   /// Performs a write of the host. Returns false if the host interrupted it.
   bool perform(const HostWrite &write,
                FieldCopies::Interrupts interrupts =
                    FieldCopies::Interrupts::Wait) const {
-    return runtime.perform(write, interrupts);
+    return runtime.writes().perform(write, interrupts);
   }
   Status activateFor(const HostWrite &write) const {
-    return runtime.activateFor(write);
+    return runtime.writes().activateFor(write);
   }
-  Status change(const HostWrite &write) const { return runtime.change(write); }
+  Status change(const HostWrite &write) const {
+    return runtime.writes().change(write);
+  }
   void oweZeros(const FieldPtr &adjoint,
                 std::shared_ptr<const OwedZeros> zeros) const {
-    runtime.oweZeros(adjoint, std::move(zeros));
+    runtime.gradients().owe(adjoint, std::move(zeros));
   }
   /// Calls body(kernel) for each kernel of the runtime. Other threads may
   /// create kernels at the same time.

@@ -114,8 +114,8 @@ inline FieldPtr makeField(Runtime &runtime, const std::string &name,
   for (int64_t extent : element)
     bytes *= extent;
   FieldPtr field;
-  EXPECT_OK(runtime.addTree(name + "_tree", bytes, info.tree));
-  EXPECT_OK(runtime.addField(std::move(info), field));
+  EXPECT_OK(runtime.store().addTree(name + "_tree", bytes, info.tree));
+  EXPECT_OK(runtime.store().addField(std::move(info), field));
   return field;
 }
 
@@ -146,7 +146,7 @@ inline KernelPtr makeKernel(Runtime &runtime, std::string name,
   info.function = function;
   info.argSlots = argSlots;
   for (const Access &access : summary) {
-    TreePtr tree = runtime.findTree(access.field->tree().name());
+    TreePtr tree = runtime.store().findTree(access.field->tree().name());
     bool known = false;
     for (const TreePtr &other : info.trees)
       known |= other == tree;
@@ -154,7 +154,7 @@ inline KernelPtr makeKernel(Runtime &runtime, std::string name,
       info.trees.push_back(tree);
   }
   info.summary = std::move(summary);
-  return runtime.createKernel(std::move(info));
+  return runtime.launcher().kernels().create(std::move(info));
 }
 
 inline Options withThreads(int threads) {

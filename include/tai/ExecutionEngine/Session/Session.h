@@ -100,7 +100,7 @@ public:
   /// See Runtime::setActive.
   LogicalResult setActive(const runtime::TreePtr &tree, int64_t level,
                           int64_t cell, bool isActive) {
-    return check(rt->setActive(tree, level, cell, isActive));
+    return check(rt->writes().setActive(tree, level, cell, isActive));
   }
 
   /// Creates a kernel of the session from a module that holds a kernel of the

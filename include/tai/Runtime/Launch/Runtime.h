@@ -6,7 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // A Runtime owns the storage, the workers and the launch state of one context,
-// each as a separate part, and forwards to these parts. There is no global
+// each as a separate part, which does its own work: callers ask the part. The
+// methods of Runtime need several parts, or change options. There is no global
 // state: a process may have several runtimes.
 //
 // Threads: launches may come from several threads at once, and each thread may
@@ -61,10 +62,12 @@ public:
 
   Workers &workers() { return workerThreads; }
   TreeStore &store() { return trees; }
+  const TreeStore &store() const { return trees; }
   MemoryAccount &memory() { return account; }
   DeviceHost &devices() { return deviceHost; }
   Recordings &recordings() { return tapes; }
   Gradients &gradients() { return fieldGradients; }
+  FieldCopies &copies() { return fieldCopies; }
   HostWrites &writes() { return hostWrites; }
   Launcher &launcher() { return launches; }
   ShadowLog &shadowLog() { return shadowSites; }
@@ -111,15 +114,10 @@ public:
   /// are loaded afterwards.
   void setBlockThreads(int threads) { opts.blockThreads = threads; }
   void setMostBlockThreads(int threads) { opts.mostBlockThreads = threads; }
-  void keepBlockSizes(KeptChoices kept) {
-    launches.onDevice().keepBlockSizes(std::move(kept));
-  }
-  void setFuseLaunches(bool on) { launches.setFuse(on); }
   void setSeed(uint64_t seed) {
     opts.seed = seed;
     launches.setSeed(seed);
   }
-  void setMemoryLimit(int64_t bytes) { account.setLimit(bytes); }
 
   /// In forward mode, every launch of the calling thread runs the kernel's
   /// variant with tangents; so do launches that a tape replays, and adjoints.
@@ -128,13 +126,9 @@ public:
     hostWrites.setWatcher(nullptr);
     launches.forgetTangents();
   }
-  bool isForward() const { return tapes.isForward(); }
   void followTangents(const std::vector<FieldPtr> &inputs) {
     hostWrites.setWatcher(nullptr);
     hostWrites.setWatcher(launches.followTangents(inputs));
-  }
-  std::vector<std::string> lostTangents(const std::vector<FieldPtr> &outputs) {
-    return launches.lostTangents(outputs);
   }
 
   //===--------------------------------------------------------------------===//
@@ -168,35 +162,11 @@ public:
     settleZeros(&tree);
     return deviceHost.addressOf(tree, offset, address);
   }
-  Status waitForStream(uint64_t stream) {
-    return deviceHost.waitForStream(stream);
-  }
-  Status letStreamWait(uint64_t stream) {
-    return deviceHost.letStreamWait(stream);
-  }
-  Status allocateOnDevice(int64_t bytes, void *&address) {
-    return deviceHost.allocate(bytes, address);
-  }
-  void freeOnDevice(void *address) { deviceHost.free(address); }
-  Status copyOnDevice(void *to, const void *from, int64_t bytes) {
-    return deviceHost.copy(to, from, bytes);
-  }
-  Status readOnDevice(const void *from, int64_t step, int64_t bytes,
-                      int64_t rows, void *to) {
-    return deviceHost.read(from, step, bytes, rows, to);
-  }
-  bool isOnDevice(const void *address) const {
-    return deviceHost.isThere(address);
-  }
 
   //===--------------------------------------------------------------------===//
   // Trees and fields
   //===--------------------------------------------------------------------===//
 
-  Status addTree(std::string name, int64_t bytes, TreePtr &tree,
-                 std::vector<SparseInfo> sparse = {}) {
-    return trees.addTree(std::move(name), bytes, tree, std::move(sparse));
-  }
   Status destroyTree(const std::string &name) {
     if (TreePtr tree = trees.findTree(name)) {
       trees.setClosing(*tree, true);
@@ -209,65 +179,11 @@ public:
     }
     return trees.destroyTree(name);
   }
-  TreePtr findTree(const std::string &name) const {
-    return trees.findTree(name);
-  }
-  int64_t numTrees() const {
-    return static_cast<int64_t>(trees.trees().size());
-  }
-  int64_t memoryLimit() const { return account.limit(); }
-  int64_t reservedBytes() const { return account.reserved(); }
-  int64_t activeCellBytes() const { return account.activeCellBytes(); }
-  Status checkActiveBytes(const SparseNode &node, int64_t cells) const {
-    return account.checkCells(node, cells);
-  }
-  Status addField(FieldInfo info, FieldPtr &field) {
-    return trees.addField(std::move(info), field);
-  }
-  Status setAdjoint(Field &field, const FieldPtr &adjoint) {
-    return trees.setAdjoint(field, adjoint);
-  }
-  FieldPtr findField(const std::string &name) const {
-    return trees.findField(name);
-  }
-  const std::vector<FieldPtr> &fields() const { return trees.fields(); }
 
   //===--------------------------------------------------------------------===//
   // Host accesses to fields; see HostWrites, FieldCopies and Gradients
   //===--------------------------------------------------------------------===//
 
-  Status copyToHost(const Field &field, void *array) {
-    return fieldCopies.copyOut(field, array);
-  }
-  Status copyFromHost(Field &field, const void *array) {
-    return hostWrites.copyIn(field, array);
-  }
-  Status fillF64(Field &field, double value) {
-    return hostWrites.fillF64(field, value);
-  }
-  Status fillI64(Field &field, int64_t value) {
-    return hostWrites.fillI64(field, value);
-  }
-  Status writeF64(Field &field, const int64_t *index, int64_t component,
-                  double value) {
-    return hostWrites.writeF64(field, index, component, value);
-  }
-  Status writeI64(Field &field, const int64_t *index, int64_t component,
-                  int64_t value) {
-    return hostWrites.writeI64(field, index, component, value);
-  }
-  Status writeElements(Field &field, const int64_t *indices, int64_t count,
-                       const void *values) {
-    return hostWrites.writeElements(field, indices, count, values);
-  }
-  Status setActive(const TreePtr &tree, int64_t level, int64_t cell,
-                   bool isActive) {
-    return hostWrites.setActive(tree, level, cell, isActive);
-  }
-  Status clearGradients(const Recorder *tape = nullptr) {
-    return fieldGradients.clear(tape);
-  }
-  void clearTangents() { fieldGradients.clearTangents(); }
   /// Stores the zeros that reverse sweeps have deferred; see Gradients::settle.
   /// Must be called before memory is accessed other than through fields.
   void settleZeros(const Gradients::Uses &uses = nullptr) {
@@ -282,20 +198,11 @@ public:
     settleZeros(&field.tree());
     return ExportedBuffer::make(field, deviceHost, exported);
   }
-  Status noteOutsideWrite(Field &field) {
-    return hostWrites.noteOutside(field);
-  }
 
   //===--------------------------------------------------------------------===//
   // Launches and tapes
   //===--------------------------------------------------------------------===//
 
-  KernelPtr createKernel(KernelInfo info) {
-    return launches.kernels().create(std::move(info));
-  }
-  int64_t numKernels() { return launches.kernels().size(); }
-  /// The registry of launches that run at present.
-  RunningLaunches &running() { return launches.running(); }
   Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                 uint64_t *results) {
     return launches.launch(kernel, args, slots, results);
@@ -307,63 +214,14 @@ public:
     launches.interrupt();
     safepoint::request();
   }
-  void clearInterrupt() { launches.clearInterrupt(); }
-  bool interruptRequested() const { return launches.interruptRequested(); }
 
   /// Starts recording on the calling thread. `loss` may be null; losses can
   /// also be added later. See Tape.h.
   Status beginTape(FieldPtr loss, bool clearGradients,
                    std::unique_ptr<Tape> &tape);
-  /// The tape that records the calling thread, or null. Each thread may have
-  /// one.
-  Recorder *recordingTape() const { return tapes.current(); }
   /// True while a reverse sweep of this thread calls a function of the host.
   bool inReverseFunction() const { return tapes.sweeping() != nullptr; }
-
-  // For tapes.
   uint64_t storageEpoch() const { return state.epoch(); }
-  Launch *acquireLaunch() { return launches.acquire(); }
-  void releaseLaunch(Launch *launch) { launches.release(launch); }
-  Status ready(Kernel &kernel) { return launches.ready(kernel); }
-  Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
-             uint64_t *results, uint64_t number) {
-    return launches.run(launch, kernel, args, results, number);
-  }
-  Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
-                    const uint64_t *args, uint64_t number,
-                    const LoopLists *given) {
-    return launches.runAdjoint(launch, kernel, adjoint, args, number, given);
-  }
-  bool runsDirectly() const { return launches.runsDirectly(); }
-  static Status failureOf(Launch &launch, const Kernel &kernel) {
-    return Launcher::failureOf(launch, kernel);
-  }
-  Status change(const HostWrite &write) { return hostWrites.change(write); }
-  bool
-  perform(const HostWrite &write,
-          FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait) {
-    return hostWrites.perform(write, interrupts);
-  }
-  Status activateFor(const HostWrite &write) {
-    return hostWrites.activateFor(write);
-  }
-  Status checkHold(const Field &field, HoldKind kind) const {
-    return tapes.check(field, kind);
-  }
-  void oweZeros(const FieldPtr &adjoint,
-                std::shared_ptr<const OwedZeros> zeros) {
-    fieldGradients.owe(adjoint, std::move(zeros));
-  }
-  void noteFailure(Status status) { deviceHost.noteFailure(std::move(status)); }
-
-  /// See Workers.
-  int64_t partition(int64_t n, double cost, bool reduces) {
-    return workerThreads.partition(n, cost, reduces);
-  }
-  void parallel(int64_t parts, void (*task)(void *context, int64_t part),
-                void *context, void (*look)(void *context) = nullptr) {
-    workerThreads.parallel(parts, task, context, look);
-  }
 
   //===--------------------------------------------------------------------===//
   // Output and statistics

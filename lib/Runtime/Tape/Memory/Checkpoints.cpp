@@ -129,7 +129,7 @@ void Checkpoints::thin() {
 
 Status Checkpoints::log(Track &track, SlabRange range) {
   Status status = logOne(track, range);
-  if (!runtime.isForward()) {
+  if (!runtime.recordings().isForward()) {
     lacksTangents |= track.field->dual() != nullptr;
     return status;
   }

@@ -164,7 +164,7 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
 
 TapeMemory::Part TapeMemory::followedForward(Track &track, SlabRange range) {
   if (!track.ofPrimal) {
-    const std::vector<FieldPtr> &fields = runtime.fields();
+    const std::vector<FieldPtr> &fields = runtime.store().fields();
     auto primal =
         std::find_if(fields.begin(), fields.end(), [&](const FieldPtr &field) {
           return field->dual() == track.field.get();
@@ -312,7 +312,7 @@ Status TapeMemory::save(const Candidate &proposed) {
   candidate.range = range;
   Track &track = *followed;
   Status status = saveOne(candidate);
-  if (!runtime.isForward()) {
+  if (!runtime.recordings().isForward()) {
     if (track.field->dual())
       tangents = Tangents::Lacking;
     return status;
@@ -477,7 +477,7 @@ int64_t TapeMemory::mostBytes(uint32_t from, uint32_t to) const {
       bytes += candidates[i].track->bytesOf(candidates[i].range);
   // In forward mode the duals of the fields are saved, too, and have the same
   // size.
-  return runtime.isForward() ? 2 * bytes : bytes;
+  return runtime.recordings().isForward() ? 2 * bytes : bytes;
 }
 
 int64_t TapeMemory::bytesAt(uint32_t record) const {
@@ -554,7 +554,7 @@ void TapeMemory::swapSome(size_t begin, size_t end, int64_t bytes) {
                   [](Piece *piece) { swap(*piece); });
     return;
   }
-  runtime.parallel(
+  runtime.workers().parallel(
       job.parts,
       [](void *context, int64_t part) {
         const Job &job = *static_cast<Job *>(context);
@@ -628,7 +628,7 @@ Status TapeMemory::beginReverse() {
                                  "', whose tree has been destroyed");
   // In forward mode, values that were saved without tangents cannot be
   // restored.
-  if (runtime.isForward() && tangents == Tangents::Lacking)
+  if (runtime.recordings().isForward() && tangents == Tangents::Lacking)
     return failWithoutTangents();
   return Status::success();
 }

@@ -101,7 +101,7 @@ public:
   /// field; its track is null for the tangent of a gradient, which the tape
   /// does not restore. In all other cases, the part is `range` itself.
   Part followedFor(Track &track, SlabRange range) {
-    return __builtin_expect(runtime.isForward(), false)
+    return __builtin_expect(runtime.recordings().isForward(), false)
                ? followedForward(track, range)
                : Part{&track, range};
   }

@@ -189,12 +189,12 @@ void TapeTopology::seek(uint32_t position) {
 template <typename Body>
 void TapeTopology::forEachAdjoint(const SparseNode &node,
                                   const Body &body) const {
-  for (const FieldPtr &field : runtime.fields()) {
+  for (const FieldPtr &field : runtime.store().fields()) {
     if (!field->isAdjoint())
       continue;
     if (field->sparseNode() == &node)
       body(*field);
-    Field *tangent = runtime.isForward() ? field->dual() : nullptr;
+    Field *tangent = runtime.recordings().isForward() ? field->dual() : nullptr;
     if (tangent && tangent->valid() && tangent->sparseNode() == &node)
       body(*tangent);
   }

@@ -41,7 +41,7 @@ Track::Track(FieldPtr fieldPtr, std::vector<int> dimensions)
 
 Track *Track::tangentIn(const Runtime &runtime) {
   if (!tangent && field->dual())
-    if (FieldPtr dual = runtime.findField(field->dual()->name()))
+    if (FieldPtr dual = runtime.store().findField(field->dual()->name()))
       tangent = std::make_unique<Track>(std::move(dual), slabs.dimensions());
   return tangent.get();
 }
@@ -95,7 +95,7 @@ Status Piece::allocate(Runtime &runtime, int64_t kept) {
   if (track->slabs.onDevice())
     return track->slabs.keepOnDevice(first(), count(), block);
   int64_t size = bytes();
-  if (size <= runtime.memoryLimit() - runtime.reservedBytes() - kept)
+  if (size <= runtime.memory().limit() - runtime.memory().reserved() - kept)
     data.reset(new (std::nothrow) char[static_cast<size_t>(size)]);
   if (!data)
     return Status::failure(

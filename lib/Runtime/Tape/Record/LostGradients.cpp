@@ -131,7 +131,7 @@ void LostGradients::find(const TapeServices &services,
   FlowTracker::CutSet cuts =
       tracker.cutsOfArrays([&](uint64_t address, uint64_t bytes) {
         const auto *adjoint = reinterpret_cast<const char *>(address);
-        return services.owner().isOnDevice(adjoint) ||
+        return services.owner().devices().isThere(adjoint) ||
                std::any_of(adjoint, adjoint + bytes, [](char c) { return c; });
       });
   auto want = [&](const FlowTracker::CutSet &more) {

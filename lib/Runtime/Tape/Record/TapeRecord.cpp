@@ -38,7 +38,7 @@ Tape::~Tape() {
 
 Status Tape::begin(Runtime &runtime, FieldPtr loss, bool clears,
                    std::unique_ptr<Tape> &tape) {
-  if (runtime.recordingTape())
+  if (runtime.recordings().current())
     return Status::failure(StatusCode::Usage,
                            "a tape is being recorded already, and tapes do not "
                            "nest");
@@ -77,7 +77,7 @@ Status Tape::begin(Runtime &runtime, FieldPtr loss, bool clears,
   Status status;
   try {
     if (clears)
-      status = runtime.clearGradients(made.get());
+      status = runtime.gradients().clear(made.get());
     else
       runtime.settleZeros();
   } catch (...) {
@@ -112,7 +112,7 @@ void Tape::end(bool isSwept) {
 }
 
 bool Tape::recording() const {
-  return parts->services.owner().recordingTape() == this;
+  return parts->services.owner().recordings().current() == this;
 }
 
 void Tape::suspend() {
@@ -283,7 +283,8 @@ Status Tape::write(const HostWrite &write) {
 }
 
 Status Tape::recordWrite(const HostWrite &write) {
-  FieldPtr field = parts->services.owner().findField(write.field->name());
+  FieldPtr field =
+      parts->services.owner().store().findField(write.field->name());
   if (field.get() != write.field)
     return Status::failure(StatusCode::Internal,
                            "field '" + write.field->name() +

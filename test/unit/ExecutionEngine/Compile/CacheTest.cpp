@@ -58,17 +58,17 @@ struct Program {
   /// Returns y and its gradient with respect to x[2], for x = 3.
   std::pair<double, double> run() {
     runtime::Runtime &rt = session.getRuntime();
-    EXPECT_TRUE(rt.fillF64(*rt.findField("x"), 3).ok());
-    EXPECT_TRUE(rt.fillF64(*rt.findField("y"), 0).ok());
+    EXPECT_TRUE(rt.writes().fillF64(*rt.store().findField("x"), 3).ok());
+    EXPECT_TRUE(rt.writes().fillF64(*rt.store().findField("y"), 0).ok());
     std::unique_ptr<runtime::Tape> tape;
-    EXPECT_TRUE(rt.beginTape(rt.findField("y"), true, tape).ok());
+    EXPECT_TRUE(rt.beginTape(rt.store().findField("y"), true, tape).ok());
     EXPECT_TRUE(succeeded(session.launch(*kernel, nullptr, 0, nullptr)))
         << session.getFailure().text;
     EXPECT_TRUE(tape->backward().ok());
     double y = 0, g = 0;
     int64_t index = 2;
-    EXPECT_TRUE(rt.findField("y")->readF64(nullptr, 0, y).ok());
-    EXPECT_TRUE(rt.findField("gx")->readF64(&index, 0, g).ok());
+    EXPECT_TRUE(rt.store().findField("y")->readF64(nullptr, 0, y).ok());
+    EXPECT_TRUE(rt.store().findField("gx")->readF64(&index, 0, g).ok());
     return {y, g};
   }
 
@@ -101,7 +101,7 @@ TEST(EngineCache, SecondContextRunsNoPass) {
   EXPECT_EQ(first.run(), std::make_pair(36.0, 6.0));
   EXPECT_EQ(first.hits(), 0u);
   Program second(folder.path);
-  EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
+  EXPECT_EQ(second.launcher().run(), std::make_pair(36.0, 6.0));
   EXPECT_EQ(second.hits(), 2u);
   PhaseTimes times = second.session.getCompiler().getTotals();
   for (Phase phase : {Phase::Autodiff, Phase::Lower, Phase::Optimize})
@@ -141,7 +141,7 @@ TEST(EngineCache, DamagedEntriesAreCompiledAnew) {
   }
   testing::internal::CaptureStderr();
   Program second(folder.path);
-  EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
+  EXPECT_EQ(second.launcher().run(), std::make_pair(36.0, 6.0));
   EXPECT_EQ(second.hits(), 0u);
   std::string warned = testing::internal::GetCapturedStderr();
   // One warning, however many entries are damaged.
@@ -179,7 +179,7 @@ TEST(EngineCache, ObjectsThatDoNotLinkAreCompiledAnew) {
   auto expectAnew = [&](llvm::function_ref<void(CompiledObject &)> change) {
     replaceObjects(folder.path, change);
     Program second(folder.path);
-    EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
+    EXPECT_EQ(second.launcher().run(), std::make_pair(36.0, 6.0));
     EXPECT_EQ(second.hits(), 0u);
     // The new entry can be linked.
     Program third(folder.path);

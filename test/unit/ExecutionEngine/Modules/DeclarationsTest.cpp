@@ -40,7 +40,7 @@ TEST_F(DeclarationsTest, TellsTheRuntimeWhereElementsLie) {
   EXPECT_EQ(failures.getLast().message, "'x' is already declared");
   EXPECT_TRUE(succeeded(declarations->destroyTree("t")));
   EXPECT_EQ(declarations->size(), 0);
-  EXPECT_EQ(rt.findField("x"), nullptr);
+  EXPECT_EQ(rt.store().findField("x"), nullptr);
 }
 
 TEST_F(DeclarationsTest, RefusesWithAReason) {

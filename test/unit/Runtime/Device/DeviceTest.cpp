@@ -143,13 +143,13 @@ TEST_F(RuntimeDevice, RunsKernelsAndMirrorsTrees) {
   EXPECT_EQ(get(*x, {7}), 9.0);
   EXPECT_EQ(get(*x, {999}), 2000.0);
   std::vector<double> values(1000);
-  EXPECT_OK(runtime.fillF64(*x, 2.0));
+  EXPECT_OK(runtime.writes().fillF64(*x, 2.0));
   EXPECT_OK(launch(*kernel, {1000}));
-  EXPECT_OK(runtime.copyToHost(*x, values.data()));
+  EXPECT_OK(runtime.copies().copyOut(*x, values.data()));
   for (int i = 0; i < 1000; ++i)
     ASSERT_EQ(values[i], 3.0 + i);
   std::iota(values.begin(), values.end(), 100.0);
-  EXPECT_OK(runtime.copyFromHost(*x, values.data()));
+  EXPECT_OK(runtime.writes().copyIn(*x, values.data()));
   EXPECT_OK(launch(*kernel, {10}));
   EXPECT_EQ(get(*x, {3}), 107.0);
   EXPECT_EQ(get(*x, {30}), 130.0);
@@ -180,7 +180,7 @@ static void makeShared(Runtime &runtime, ScalarKind scalar, int64_t n,
                        FieldPtr &a, FieldPtr &b) {
   TreePtr tree;
   int64_t bytes = byteSize(scalar);
-  ASSERT_OK(runtime.addTree("t", 2 * bytes * n, tree));
+  ASSERT_OK(runtime.store().addTree("t", 2 * bytes * n, tree));
   for (FieldPtr *field : {&a, &b}) {
     FieldInfo info;
     info.name = field == &a ? "a" : "b";
@@ -188,7 +188,7 @@ static void makeShared(Runtime &runtime, ScalarKind scalar, int64_t n,
     info.layout = rowMajor(scalar, {n});
     info.layout.placeOffset = field == &a ? 0 : bytes;
     info.layout.indices[0][0].stride = 2 * bytes;
-    ASSERT_OK(runtime.addField(std::move(info), *field));
+    ASSERT_OK(runtime.store().addField(std::move(info), *field));
   }
 }
 
@@ -197,17 +197,17 @@ TEST_F(RuntimeDevice, HandlesFieldsThatShareTheirCells) {
   makeShared(runtime, ScalarKind::F64, 100, a, b);
   KernelPtr kernel = addIndexKernel(a);
   EXPECT_OK(launch(*kernel, {200}));
-  EXPECT_OK(runtime.fillF64(*b, 0.5));
+  EXPECT_OK(runtime.writes().fillF64(*b, 0.5));
   std::vector<double> values(100);
-  EXPECT_OK(runtime.copyToHost(*a, values.data()));
+  EXPECT_OK(runtime.copies().copyOut(*a, values.data()));
   EXPECT_EQ(values[10], 21.0);
   EXPECT_EQ(get(*b, {10}), 0.5);
   EXPECT_OK(launch(*kernel, {200}));
-  EXPECT_OK(runtime.copyToHost(*b, values.data()));
+  EXPECT_OK(runtime.copies().copyOut(*b, values.data()));
   EXPECT_EQ(values[10], 22.5);
   values[11] = 7;
   EXPECT_OK(launch(*kernel, {10}));
-  EXPECT_OK(runtime.copyFromHost(*b, values.data()));
+  EXPECT_OK(runtime.writes().copyIn(*b, values.data()));
   EXPECT_EQ(get(*b, {11}), 7.0);
   EXPECT_EQ(get(*a, {11}), 46.0);
 }
@@ -222,7 +222,7 @@ TEST_F(RuntimeDevice, RunsAGridOfSeveralBlocks) {
   KernelPtr kernel = onDevice(runtime, "count", host, imageOf({"countThreads"}),
                               {{counts, AccessKind::Write}}, 1);
   auto check = [&](int64_t n, int blocks) {
-    EXPECT_OK(runtime.fillI64(*counts, 0));
+    EXPECT_OK(runtime.writes().fillI64(*counts, 0));
     EXPECT_OK(launch(*kernel, {uint64_t(n)}));
     for (int i = 0; i < 8; ++i)
       EXPECT_EQ(get(*counts, {i}), i < blocks ? 1 : 0) << n;
@@ -256,9 +256,9 @@ TEST_F(RuntimeDevice, HandsValuesOnThroughScratchMemory) {
   info.name = "sum";
   info.function = host;
   info.argSlots = info.resultSlots = 2;
-  info.trees = {runtime.findTree("x_tree")};
+  info.trees = {runtime.store().findTree("x_tree")};
   info.image = imageOf({"addIndex", "sum"});
-  KernelPtr kernel = runtime.createKernel(std::move(info));
+  KernelPtr kernel = runtime.launcher().kernels().create(std::move(info));
   uint64_t results[2];
   double expected = 0;
   for (int round = 1; round < 10000; ++round) {
@@ -344,27 +344,27 @@ static void checkTape(Runtime &runtime, const FieldPtr &x,
     tai_rt_device_launch(frame, 0, 1, slots, 3);
     return tai_rt_failed(frame);
   };
-  TreePtr tree = runtime.findTree(x->tree().name());
+  TreePtr tree = runtime.store().findTree(x->tree().name());
   KernelInfo adjoint;
   adjoint.name = "reads_grad";
   adjoint.function = toSecond;
   adjoint.argSlots = 1;
-  adjoint.trees = {tree, runtime.findTree("x_grad_tree")};
+  adjoint.trees = {tree, runtime.store().findTree("x_grad_tree")};
   adjoint.image = imageOf({"sum"});
   KernelInfo info;
   info.name = "reads";
   info.function = toSecond;
   info.argSlots = 1;
-  info.trees = {tree, runtime.findTree("loss_tree")};
+  info.trees = {tree, runtime.store().findTree("loss_tree")};
   info.summary = {{x, AccessKind::Read}, {loss, AccessKind::Accumulate}};
   info.image = imageOf({"sum"});
-  info.adjoint = runtime.createKernel(std::move(adjoint));
+  info.adjoint = runtime.launcher().kernels().create(std::move(adjoint));
   uint64_t n = 10;
   if (beside) {
     n = 20;
     info.summary.push_back({beside, AccessKind::Read});
   }
-  KernelPtr kernel = runtime.createKernel(std::move(info));
+  KernelPtr kernel = runtime.launcher().kernels().create(std::move(info));
   int64_t before = runtime.getDevice()->allocatedBytes();
   {
     std::unique_ptr<Tape> tape;
@@ -390,7 +390,7 @@ static void checkTape(Runtime &runtime, const FieldPtr &x,
 
 TEST_F(RuntimeDevice, TapesKeepWhatKernelsOverwrite) {
   FieldPtr x = makeDifferentiable(runtime, "x", ScalarKind::F64, {10});
-  EXPECT_OK(runtime.fillF64(*x, 2.0));
+  EXPECT_OK(runtime.writes().fillF64(*x, 2.0));
   KernelPtr changes = addIndexKernel(x);
   EXPECT_OK(launch(*changes, {10}));
   checkTape(runtime, x, nullptr, *changes);
@@ -399,7 +399,7 @@ TEST_F(RuntimeDevice, TapesKeepWhatKernelsOverwrite) {
 TEST_F(RuntimeDevice, TapesKeepFieldsThatShareTheirCells) {
   FieldPtr a, b;
   makeShared(runtime, ScalarKind::F64, 10, a, b);
-  ASSERT_OK(runtime.setAdjoint(
+  ASSERT_OK(runtime.store().setAdjoint(
       *a, makeField(runtime, "x_grad", ScalarKind::F64, {10})));
   KernelPtr changes = onDevice(
       runtime, "add_index", addIndexHost, imageOf({"addIndex"}),
@@ -548,7 +548,7 @@ static void checkScaling() {
       onDevice(runtime, "scale", scaleHost,
                imageOf({"scale"}, DeviceKind::Cuda, "// PTX"),
                {{x, AccessKind::Read}, {x, AccessKind::Write}}, 2);
-  EXPECT_OK(runtime.fillF64(*x, 3.0));
+  EXPECT_OK(runtime.writes().fillF64(*x, 3.0));
   uint64_t args[] = {20000, slotOf(2.0)};
   EXPECT_OK(runtime.launch(*kernel, args, 2, nullptr));
   EXPECT_EQ(get(*x, {12345}), 6.0);
@@ -557,7 +557,7 @@ static void checkScaling() {
   EXPECT_EQ(get(*x, {12345}), 1.0);
   EXPECT_EQ(get(*x, {12344}), 12.0);
   // A pattern whose halves differ, on the device.
-  EXPECT_OK(runtime.fillF64(*x, 0.1));
+  EXPECT_OK(runtime.writes().fillF64(*x, 0.1));
   EXPECT_OK(runtime.launch(*kernel, args, 2, nullptr));
   EXPECT_EQ(get(*x, {19999}), 0.2);
   EXPECT_OK(runtime.synchronize());
@@ -602,13 +602,13 @@ TEST_F(RuntimeCuda, MovesRows) {
     };
     set(*a, {7}, 1.25);
     touch();
-    EXPECT_OK(runtime.fillF64(*b, 0.125));
+    EXPECT_OK(runtime.writes().fillF64(*b, 0.125));
     EXPECT_EQ(get(*a, {7}), 1.25);
     EXPECT_EQ(get(*b, {49}), 0.125);
     touch();
     std::vector<char> values(size_t(b->hostBytes()));
-    EXPECT_OK(runtime.copyToHost(*a, values.data()));
-    EXPECT_OK(runtime.copyFromHost(*b, values.data()));
+    EXPECT_OK(runtime.copies().copyOut(*a, values.data()));
+    EXPECT_OK(runtime.writes().copyIn(*b, values.data()));
     EXPECT_EQ(get(*b, {7}), 1.25);
     EXPECT_EQ(get(*b, {8}), 0.0);
   }
@@ -630,8 +630,8 @@ TEST_F(RuntimeCuda, ReservesMemoryWhereThatCanBe) {
   EXPECT_EQ(device->limits().reservedPieceBytes, 0);
   ASSERT_OK(runtime.useDevice(std::move(device)));
   TreePtr tree;
-  Status status =
-      runtime.addTree("s", (int64_t(8) << 40) + (1 << 20), tree, {level});
+  Status status = runtime.store().addTree("s", (int64_t(8) << 40) + (1 << 20),
+                                          tree, {level});
   EXPECT_EQ(status.code(), StatusCode::Memory);
   EXPECT_EQ(status.message().rfind(
                 "tree 's' spans 8.0 TiB with all cells active (the 'bitmasked' "
@@ -717,7 +717,7 @@ TEST_F(RuntimeCuda, MakesCodeOfTheCacheAgainThatTheDriverRefuses) {
                     {{x, AccessKind::Read}, {x, AccessKind::Write}}, 2);
   };
   KernelPtr good = makeScale("// PTX", "scale");
-  ASSERT_OK(runtime.fillF64(*x, 3));
+  ASSERT_OK(runtime.writes().fillF64(*x, 3));
   EXPECT_OK(launch(*good));
   EXPECT_OK(launch(*good));
   double value = 0;

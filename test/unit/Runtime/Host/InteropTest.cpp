@@ -53,12 +53,12 @@ TEST(RuntimeInterop, RefusesWhatHasNoStrides) {
   Runtime runtime;
   FieldInfo info;
   info.name = "blocked";
-  ASSERT_OK(runtime.addTree("t", 16 * 4, info.tree));
+  ASSERT_OK(runtime.store().addTree("t", 16 * 4, info.tree));
   info.layout = rowMajor(ScalarKind::F32, {16});
   // Interleaved blocks of four elements.
   info.layout.indices[0] = {{4, 4, 4}, {1, 4, 16}};
   FieldPtr field;
-  ASSERT_OK(runtime.addField(std::move(info), field));
+  ASSERT_OK(runtime.store().addField(std::move(info), field));
   ExportedField exported;
   EXPECT_NE(exportField(runtime, *field, exported).message().find("in blocks"),
             std::string::npos);
@@ -83,11 +83,11 @@ TEST(RuntimeInterop, PutsStreamsInOrder) {
     waits += std::strlen(waits);
     // The runtime's stream is s. Work in the default stream, whose handle is 1
     // or 0, is ordered anyway; one event suffices for all other streams.
-    EXPECT_OK(runtime.waitForStream(3));
-    EXPECT_OK(runtime.letStreamWait(4));
-    EXPECT_OK(runtime.waitForStream(0));
-    EXPECT_OK(runtime.letStreamWait(1));
-    EXPECT_OK(runtime.waitForStream(2));
+    EXPECT_OK(runtime.devices().waitForStream(3));
+    EXPECT_OK(runtime.devices().letStreamWait(4));
+    EXPECT_OK(runtime.devices().waitForStream(0));
+    EXPECT_OK(runtime.devices().letStreamWait(1));
+    EXPECT_OK(runtime.devices().waitForStream(2));
     EXPECT_STREQ(waits, "3>s s>4 2>s ");
     EXPECT_EQ(events(), before + 1);
     // Device memory remains while it is exported, even without the tree.

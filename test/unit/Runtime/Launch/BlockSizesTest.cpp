@@ -160,14 +160,14 @@ TEST_F(BlockSizes, StayBelowTheLimit) {
 TEST_F(BlockSizes, StayForTheNextProcess) {
   {
     Program program({}, "key");
-    program.runtime.keepBlockSizes(keep());
+    program.runtime.launcher().onDevice().keepBlockSizes(keep());
     std::vector<double> threads = program.threads(kLarge, kEnough);
     EXPECT_EQ(threads.front(), 256);
     EXPECT_EQ(threads.back(), 512);
     EXPECT_EQ(kept.size(), 1u);
   }
   Program next({}, "key");
-  next.runtime.keepBlockSizes(keep());
+  next.runtime.launcher().onDevice().keepBlockSizes(keep());
   // Launches up to the next power of two of iterations share a choice.
   EXPECT_EQ(next.threads(kLarge, kEnough), std::vector<double>(kEnough, 512));
   EXPECT_EQ(next.launch(kLarge / 2 + 1000).second, 512);
@@ -178,11 +178,11 @@ TEST_F(BlockSizes, StayForTheNextProcess) {
   EXPECT_EQ(kept.size(), 2u);
   // Other kernels have trials of their own.
   Program other({}, "other");
-  other.runtime.keepBlockSizes(keep());
+  other.runtime.launcher().onDevice().keepBlockSizes(keep());
   EXPECT_EQ(other.threads(kLarge, 3), (std::vector<double>{256, 256, 64}));
   // So have kernels for which not all of the sizes are allowed.
   Program narrow({}, "key");
-  narrow.runtime.keepBlockSizes(keep());
+  narrow.runtime.launcher().onDevice().keepBlockSizes(keep());
   narrow.runtime.setMostBlockThreads(128);
   EXPECT_EQ(narrow.threads(kLarge, 3), (std::vector<double>{128, 128, 64}));
 }
@@ -192,7 +192,7 @@ TEST_F(BlockSizes, StayWhereNothingIsGained) {
   setenv("TAI_FAKE_CUDA", "", 1);
   for (bool first : {true, false}) {
     Program program({}, "key");
-    program.runtime.keepBlockSizes(keep());
+    program.runtime.launcher().onDevice().keepBlockSizes(keep());
     std::vector<double> usual(kEnough, 256);
     EXPECT_EQ(program.threads(kLarge, kEnough) == usual, !first);
     EXPECT_EQ(kept.size(), 1u);
@@ -204,7 +204,7 @@ TEST_F(BlockSizes, AreFoundAgainWhereAnEntryIsNone) {
     if (!kept.empty())
       kept.begin()->second = bytes;
     Program program({}, "key");
-    program.runtime.keepBlockSizes(keep());
+    program.runtime.launcher().onDevice().keepBlockSizes(keep());
     std::vector<double> threads = program.threads(kLarge, kEnough);
     EXPECT_EQ(threads[2], 64) << bytes;
     EXPECT_EQ(threads.back(), 512);
@@ -217,7 +217,7 @@ TEST_F(BlockSizes, AreNotKeptWithoutTrials) {
   auto run = [&](auto prepare, std::string key = "key",
                  std::vector<int64_t> sizes = {}) {
     Program program(std::move(sizes), std::move(key));
-    program.runtime.keepBlockSizes(keep());
+    program.runtime.launcher().onDevice().keepBlockSizes(keep());
     prepare(program.runtime);
     double last = program.threads(kLarge, kEnough).back();
     EXPECT_TRUE(kept.empty());
@@ -230,7 +230,8 @@ TEST_F(BlockSizes, AreNotKeptWithoutTrials) {
   // Without a cache, the compiler computes no key, and only this process uses
   // the choices.
   EXPECT_EQ(run(nothing, ""), 512);
-  EXPECT_EQ(run([](Runtime &r) { r.keepBlockSizes({}); }), 512);
+  EXPECT_EQ(run([](Runtime &r) { r.launcher().onDevice().keepBlockSizes({}); }),
+            512);
 }
 
 // The choices in a folder of the cache, with possible defects of an entry.
@@ -244,7 +245,7 @@ TEST_F(BlockSizes, LieInTheCache) {
         folder, 1 << 30,
         [&](const std::string &text) { warnings.push_back(text); });
     Program program({}, "key");
-    program.runtime.keepBlockSizes(
+    program.runtime.launcher().onDevice().keepBlockSizes(
         {[&, store](const std::string &key) {
            entry = folder + "/" + CacheStore::fileName(key);
            return store->get(key);

@@ -77,7 +77,7 @@ TEST(RuntimeLaunch, PassesArgumentsAndResults) {
     frame->results[0] = frame->args[0] + frame->args[1] + frame->seed;
     return 0;
   };
-  KernelPtr kernel = runtime.createKernel(info);
+  KernelPtr kernel = runtime.launcher().kernels().create(info);
   uint64_t args[] = {3, 4}, result = 0;
   ASSERT_OK(runtime.launch(*kernel, args, 2, &result));
   EXPECT_EQ(result, 49u);
@@ -98,7 +98,7 @@ TEST(RuntimeLaunch, CompilesOnFirstUseOnly) {
     function = [](TaiFrame *) { return 0; };
     return Status::success();
   };
-  KernelPtr kernel = runtime.createKernel(info);
+  KernelPtr kernel = runtime.launcher().kernels().create(info);
   EXPECT_EQ(compiled, 0);
   Status status = runtime.launch(*kernel, nullptr, 0, nullptr);
   EXPECT_EQ(status.code(), StatusCode::Compile);
@@ -120,7 +120,7 @@ TEST(RuntimeLaunch, CompilesOnceFromManyThreads) {
     function = [](TaiFrame *) { return 0; };
     return Status::success();
   };
-  KernelPtr kernel = runtime.createKernel(info);
+  KernelPtr kernel = runtime.launcher().kernels().create(info);
   std::vector<std::thread> threads;
   for (int i = 0; i < 8; ++i)
     threads.emplace_back(
@@ -319,7 +319,7 @@ TEST(RuntimeLoop, SeveralRuntimesAtOnce) {
         Runtime runtime(withThreads(3));
         std::vector<float> in(100000, 1.0f);
         FieldPtr x = makeField(runtime, "x", ScalarKind::F32, {100000});
-        EXPECT_OK(runtime.copyFromHost(*x, in.data()));
+        EXPECT_OK(runtime.writes().copyIn(*x, in.data()));
         EXPECT_EQ(get(*x, {99999}), 1);
       }
     });
@@ -375,24 +375,24 @@ TEST(RuntimeLoop, CanBeInterrupted) {
   EXPECT_LT(done, 20000);
   EXPECT_EQ(launchOnce(runtime, [](TaiFrame *) { return 0; }).code(),
             StatusCode::Interrupted);
-  runtime.clearInterrupt();
+  runtime.launcher().clearInterrupt();
   EXPECT_OK(launchOnce(runtime, [](TaiFrame *) { return 0; }));
 }
 
 TEST(RuntimeLoop, CutsByCost) {
   Runtime runtime(withThreads(4));
   // These loops are too small to pay for a fork.
-  EXPECT_EQ(runtime.partition(1000, 1, false), 1);
-  EXPECT_EQ(runtime.partition(1, 1000000000, false), 1);
-  EXPECT_EQ(runtime.partition(0, 1, true), 1);
+  EXPECT_EQ(runtime.workers().partition(1000, 1, false), 1);
+  EXPECT_EQ(runtime.workers().partition(1, 1000000000, false), 1);
+  EXPECT_EQ(runtime.workers().partition(0, 1, true), 1);
   // These loops are worth a fork.
-  EXPECT_EQ(runtime.partition(1000000, 1, true), 4);
-  EXPECT_GE(runtime.partition(1000000, 1, false), 4);
-  EXPECT_EQ(runtime.partition(3, 1000000, true), 3);
+  EXPECT_EQ(runtime.workers().partition(1000000, 1, true), 4);
+  EXPECT_GE(runtime.workers().partition(1000000, 1, false), 4);
+  EXPECT_EQ(runtime.workers().partition(3, 1000000, true), 3);
   // The computation does not overflow.
-  EXPECT_EQ(runtime.partition(INT64_MAX / 2, 0x1p62, true), 4);
+  EXPECT_EQ(runtime.workers().partition(INT64_MAX / 2, 0x1p62, true), 4);
   runtime.setThreads(1);
-  EXPECT_EQ(runtime.partition(1000000, 1000, false), 1);
+  EXPECT_EQ(runtime.workers().partition(1000000, 1000, false), 1);
 }
 
 TEST(RuntimeLoop, MeasuresWhatEstimatesLeaveOpen) {

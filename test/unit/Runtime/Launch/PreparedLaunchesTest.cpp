@@ -73,10 +73,10 @@ TEST(RuntimePrepared, MarksAdjointsOfLaterFields) {
   FieldPtr g = makeField(runtime, "g", ScalarKind::F64, {});
   KernelPtr kernel = makeAdding(runtime, g);
   FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {}, {}, "g");
-  EXPECT_TRUE(runtime.clearGradients());
+  EXPECT_TRUE(runtime.gradients().clear());
   EXPECT_EQ(get(*g), 3.0);
   EXPECT_OK(add(runtime, *kernel, 1.0));
-  EXPECT_TRUE(runtime.clearGradients());
+  EXPECT_TRUE(runtime.gradients().clear());
   EXPECT_EQ(get(*g), 0.0);
 }
 
@@ -92,7 +92,7 @@ TEST(RuntimePrepared, StoresTheZerosOfItsGradients) {
   for (int round = 0; round < 3; ++round) {
     auto zeros = std::make_shared<OwedZeros>();
     zeros->boxes.push_back({{}, {}});
-    runtime.oweZeros(g, zeros);
+    runtime.gradients().owe(g, zeros);
     ASSERT_TRUE(g->owesZeros());
     for (int i = 0; i < 4; ++i)
       EXPECT_OK(add(runtime, *onY, 1.0));
@@ -133,7 +133,7 @@ TEST(RuntimePrepared, IsRecordedByATape) {
   tape->end();
   EXPECT_OK(add(runtime, *kernel, 100.0));
   EXPECT_EQ(runtime.counters().recorded, 2);
-  EXPECT_OK(runtime.fillF64(*x, 0.0));
+  EXPECT_OK(runtime.writes().fillF64(*x, 0.0));
   EXPECT_OK(tape->replay(true, false));
   EXPECT_EQ(get(*x), 5.0);
 }
@@ -146,14 +146,14 @@ TEST(RuntimePrepared, CarriesTangentsInForwardMode) {
   info.name = "add";
   info.function = addHere;
   info.argSlots = 1;
-  info.trees = {runtime.findTree("x_tree")};
+  info.trees = {runtime.store().findTree("x_tree")};
   info.summary = {{x, AccessKind::Accumulate}};
   provide(info).onMakeTangent = [&](KernelPtr &tangent) {
     tangent = makeKernel(runtime, "tangent", addHere,
                          {{dual, AccessKind::Accumulate}}, 1);
     return Status::success();
   };
-  KernelPtr kernel = runtime.createKernel(std::move(info));
+  KernelPtr kernel = runtime.launcher().kernels().create(std::move(info));
   for (int i = 0; i < 3; ++i)
     EXPECT_OK(add(runtime, *kernel, 1.0));
   runtime.setForward(true);
@@ -170,7 +170,7 @@ TEST(RuntimePrepared, CanBeInterrupted) {
   KernelPtr kernel = makeAdding(runtime, x);
   runtime.interrupt();
   EXPECT_EQ(add(runtime, *kernel, 1.0).code(), StatusCode::Interrupted);
-  runtime.clearInterrupt();
+  runtime.launcher().clearInterrupt();
   EXPECT_OK(add(runtime, *kernel, 1.0));
   EXPECT_EQ(get(*x), 4.0);
 }
@@ -185,7 +185,7 @@ TEST(RuntimePrepared, CountsArgumentsAndWantsNoResults) {
     frame->results[0] = frame->args[0] + 1;
     return 0;
   };
-  KernelPtr kernel = runtime.createKernel(std::move(info));
+  KernelPtr kernel = runtime.launcher().kernels().create(std::move(info));
   uint64_t args[] = {41, 7}, result = 0;
   for (int i = 0; i < 3; ++i) {
     result = 0;
@@ -206,7 +206,7 @@ TEST(RuntimePrepared, ReportsFailures) {
   info.function = [](TaiFrame *frame) -> int32_t {
     return frame->args[0] == 1;
   };
-  KernelPtr kernel = runtime.createKernel(std::move(info));
+  KernelPtr kernel = runtime.launcher().kernels().create(std::move(info));
   for (uint64_t fails : {0, 0, 1, 0, 1})
     EXPECT_EQ(runtime.launch(*kernel, &fails, 1, nullptr).ok(), fails == 0);
 }
@@ -418,7 +418,7 @@ TEST_F(RuntimePreparedCuda, LaunchesSmallerBlocksWhereTheDeviceHasNoRoom) {
     scaling->setDeviceImage(std::make_shared<const DeviceImage>(image));
     uint64_t args[] = {n, slotOf(2.0)};
     auto launch = [&] { return runtime->launch(*scaling, args, 2, nullptr); };
-    EXPECT_OK(runtime->fillF64(*many, 1.0));
+    EXPECT_OK(runtime->writes().fillF64(*many, 1.0));
     EXPECT_OK(launch());
     setenv("TAI_FAKE_CUDA", "small-blocks", 1);
     Status status = launch();
@@ -467,7 +467,7 @@ TEST_F(RuntimePreparedCuda, SeesWhatTheHostWrites) {
   EXPECT_EQ(get(*x, {0}), 8.0);
   EXPECT_OK(scale(2.0));
   double values[] = {5.0, 6.0, 7.0, 8.0};
-  EXPECT_OK(runtime->copyFromHost(*x, values));
+  EXPECT_OK(runtime->writes().copyIn(*x, values));
   EXPECT_OK(scale(2.0));
   EXPECT_EQ(get(*x, {3}), 16.0);
   // Write the element often enough that the host gets the current values of the
@@ -476,7 +476,7 @@ TEST_F(RuntimePreparedCuda, SeesWhatTheHostWrites) {
     set(*x, {1}, double(i));
   EXPECT_OK(scale(2.0));
   EXPECT_EQ(get(*x, {1}), 398.0);
-  EXPECT_OK(runtime->fillF64(*x, 3.0));
+  EXPECT_OK(runtime->writes().fillF64(*x, 3.0));
   EXPECT_OK(scale(2.0));
   EXPECT_EQ(get(*x, {2}), 6.0);
 }
@@ -497,7 +497,7 @@ TEST_F(RuntimePreparedCuda, IsRecordedByATape) {
   tape->end();
   EXPECT_OK(scale(2.0));
   EXPECT_EQ(runtime->counters().recorded, 1);
-  EXPECT_OK(runtime->fillF64(*x, 1.0));
+  EXPECT_OK(runtime->writes().fillF64(*x, 1.0));
   EXPECT_OK(tape->replay(true, false));
   EXPECT_EQ(get(*x, {0}), 3.0);
 }
@@ -520,7 +520,7 @@ TEST_F(RuntimePreparedCuda, TakesOtherCode) {
   EXPECT_OK(runtime->launch(*kernel, args, 2, nullptr));
   EXPECT_OK(runtime->launch(*kernel, args, 2, nullptr));
   int32_t found[8];
-  EXPECT_OK(runtime->copyToHost(*x, found));
+  EXPECT_OK(runtime->copies().copyOut(*x, found));
   EXPECT_EQ(found[0], 16);
   EXPECT_EQ(found[1], 64);
 }
@@ -531,7 +531,7 @@ TEST_F(RuntimePreparedCuda, ReportsWhatHasFailedBefore) {
   setenv("TAI_FAKE_CUDA", "fault", 1);
   EXPECT_OK(scale(2.0));
   double values[4];
-  (void)runtime->copyToHost(*x, values);
+  (void)runtime->copies().copyOut(*x, values);
   setenv("TAI_FAKE_CUDA", "", 1);
   EXPECT_NE(runtime->synchronize().message().find("illegal memory access"),
             std::string::npos);

@@ -152,12 +152,12 @@ TEST(RuntimeRunning, CompilationIsPartOfALaunch) {
   info.name = "late";
   provide(info).onCompile = [&](Kernel &kernel, TaiKernelFn &function) {
     gate.pass();
-    kernel.setTrees({scene.runtime.findTree("x_tree")});
+    kernel.setTrees({scene.runtime.store().findTree("x_tree")});
     kernel.setSummary({{scene.x, AccessKind::Write}});
     function = nothing;
     return Status::success();
   };
-  KernelPtr late = scene.runtime.createKernel(info);
+  KernelPtr late = scene.runtime.launcher().kernels().create(info);
   Status status;
   std::thread other(
       [&] { status = scene.runtime.launch(*late, nullptr, 0, nullptr); });
@@ -193,9 +193,13 @@ TEST(RuntimeRunning, ChildrenFreeWhatTheirParentUses) {
 TEST(RuntimeRunning, LaunchesThatAreDroppedAreForgotten) {
   Scene scene;
   EXPECT_OK(scene.runtime.launch(*scene.read, nullptr, 0, nullptr));
-  std::thread([&] { EXPECT_TRUE(scene.runtime.running().areAny()); }).join();
+  std::thread([&] {
+    EXPECT_TRUE(scene.runtime.launcher().running().areAny());
+  }).join();
   scene.runtime.launcher().dropLaunches();
-  std::thread([&] { EXPECT_FALSE(scene.runtime.running().areAny()); }).join();
+  std::thread([&] {
+    EXPECT_FALSE(scene.runtime.launcher().running().areAny());
+  }).join();
   EXPECT_OK(scene.runtime.destroyTree("x_tree"));
 }
 
@@ -211,7 +215,7 @@ TEST(RuntimeRunning, TreesComeAndGo) {
         return 0;
       },
       {{scene.x, AccessKind::Write},
-       {scene.runtime.findField("loss_grad"), AccessKind::Accumulate}},
+       {scene.runtime.store().findField("loss_grad"), AccessKind::Accumulate}},
       1);
   std::vector<std::thread> threads;
   for (int t = 0; t < 3; ++t)

@@ -157,9 +157,9 @@ TEST_F(RuntimeProfiler, TimesCopiesAndFills) {
   runtime->setProfiler(true);
   set(*x, {3}, 1.0);
   scale(1000);
-  EXPECT_OK(runtime->fillF64(*x, 0.0));
+  EXPECT_OK(runtime->writes().fillF64(*x, 0.0));
   std::vector<double> values(100000);
-  EXPECT_OK(runtime->copyToHost(*x, values.data()));
+  EXPECT_OK(runtime->copies().copyOut(*x, values.data()));
   std::vector<ProfileRow> rows = runtime->profile();
   for (const char *name : {"copy to the device", "copy to the host", "fill"}) {
     const ProfileRow *row = find(rows, name);

@@ -77,13 +77,14 @@ static Status makePath(Runtime &runtime, const std::string &name,
     field.layout.indices[0].push_back(
         {divisor, levels[i].cells, strides[i], worth});
   }
-  Status status = runtime.addTree(name + "_tree", offset, field.tree, infos);
+  Status status =
+      runtime.store().addTree(name + "_tree", offset, field.tree, infos);
   if (!status)
     return status;
   path.tree = field.tree;
   for (auto &node : path.tree->sparseNodes())
     path.nodes.push_back(node.get());
-  return runtime.addField(std::move(field), path.field);
+  return runtime.store().addField(std::move(field), path.field);
 }
 
 static std::vector<int64_t> activeCells(SparseNode &node) {
@@ -133,12 +134,12 @@ TEST(RuntimeSparse, ThreadsActivateTheSameCells) {
     EXPECT_EQ(outer.numActive(), outer.numCells());
     EXPECT_EQ(activeCells(inner), numbers(inner.numCells()));
     EXPECT_EQ(activeCells(outer), numbers(outer.numCells()));
-    EXPECT_EQ(runtime.activeCellBytes(), inner.numCells() * 16);
+    EXPECT_EQ(runtime.memory().activeCellBytes(), inner.numCells() * 16);
     outer.deactivateAll();
     EXPECT_EQ(inner.numActive(), 0);
     EXPECT_EQ(outer.numActive(), 0);
     EXPECT_TRUE(activeCells(inner).empty());
-    EXPECT_EQ(runtime.activeCellBytes(), 0);
+    EXPECT_EQ(runtime.memory().activeCellBytes(), 0);
   }
 }
 
@@ -383,7 +384,7 @@ TEST(RuntimeSparse, RoundsOfTreesLeakNothing) {
 #else
   (void)before;
 #endif
-  EXPECT_EQ(runtime.activeCellBytes(), 0);
+  EXPECT_EQ(runtime.memory().activeCellBytes(), 0);
 }
 
 // Deactivation returns whole pages, except pages that a cell shares with the
@@ -417,7 +418,7 @@ TEST(RuntimeSparse, RunningOutNamesTheLevel) {
   ASSERT_OK(makePath(runtime, "x", {{'s', 1 << 18}, {'d', 1 << 16}}, path));
   auto write = [&](int64_t cell) {
     int64_t index = cell << 16;
-    return runtime.writeI64(*path.field, &index, 0, 1);
+    return runtime.writes().writeI64(*path.field, &index, 0, 1);
   };
   for (int64_t cell : {0, 1000, 200000, 262143})
     ASSERT_OK(write(cell));

@@ -19,7 +19,7 @@ TEST(RuntimeTree, IsZeroAndAligned) {
   Runtime runtime;
   for (int i = 0; i < 20; ++i) {
     TreePtr tree;
-    ASSERT_OK(runtime.addTree("t" + std::to_string(i), 5000, tree));
+    ASSERT_OK(runtime.store().addTree("t" + std::to_string(i), 5000, tree));
     EXPECT_EQ(reinterpret_cast<uintptr_t>(tree->base()) % 64, 0u);
     for (int64_t b = 0; b < tree->bytes(); ++b)
       ASSERT_EQ(tree->base()[b], 0);
@@ -32,24 +32,24 @@ TEST(RuntimeTree, RefusesWhatDoesNotFit) {
   options.memoryLimit = 1 << 20;
   Runtime runtime(options);
   TreePtr small, large;
-  ASSERT_OK(runtime.addTree("small", 600 << 10, small));
-  Status status = runtime.addTree("large", 700 << 10, large);
+  ASSERT_OK(runtime.store().addTree("small", 600 << 10, small));
+  Status status = runtime.store().addTree("large", 700 << 10, large);
   EXPECT_EQ(status.code(), StatusCode::Memory);
   EXPECT_EQ(status.message(),
             "out of memory: tree 'large' needs 700.0 KiB, 600.0 KiB of 1.0 MiB "
             "are taken by 1 other trees");
   // The runtime still works, and freed memory can be allocated again.
   ASSERT_OK(runtime.destroyTree("small"));
-  EXPECT_OK(runtime.addTree("large", 700 << 10, large));
-  EXPECT_EQ(runtime.addTree("huge", INT64_MAX, small).code(),
+  EXPECT_OK(runtime.store().addTree("large", 700 << 10, large));
+  EXPECT_EQ(runtime.store().addTree("huge", INT64_MAX, small).code(),
             StatusCode::Memory);
 }
 
 TEST(RuntimeTree, NamesAreDistinct) {
   Runtime runtime;
   TreePtr tree;
-  ASSERT_OK(runtime.addTree("a", 8, tree));
-  EXPECT_EQ(runtime.addTree("a", 8, tree).code(), StatusCode::Usage);
+  ASSERT_OK(runtime.store().addTree("a", 8, tree));
+  EXPECT_EQ(runtime.store().addTree("a", 8, tree).code(), StatusCode::Usage);
   EXPECT_EQ(runtime.destroyTree("b").code(), StatusCode::Usage);
 }
 
@@ -65,9 +65,9 @@ TEST(RuntimeTree, HandlesOutliveTheTree) {
   int64_t index = 0;
   EXPECT_EQ(x->readF64(&index, 0, value).message(),
             "field 'x' is gone: its tree 'x_tree' has been destroyed");
-  EXPECT_EQ(runtime.fillF64(*x, 1).code(), StatusCode::Usage);
-  EXPECT_EQ(runtime.copyToHost(*x, &value).code(), StatusCode::Usage);
-  EXPECT_EQ(runtime.findField("x"), nullptr);
+  EXPECT_EQ(runtime.writes().fillF64(*x, 1).code(), StatusCode::Usage);
+  EXPECT_EQ(runtime.copies().copyOut(*x, &value).code(), StatusCode::Usage);
+  EXPECT_EQ(runtime.store().findField("x"), nullptr);
   EXPECT_EQ(runtime.launch(*kernel, nullptr, 0, nullptr).message(),
             "kernel 'k' uses tree 'x_tree', which has been destroyed");
   // The names are free again.
@@ -83,22 +83,23 @@ TEST(RuntimeTree, KernelsStayWithTheirTree) {
   FieldPtr x = makeField(runtime, "x", ScalarKind::F32, {8});
   KernelInfo info;
   info.name = "k";
-  info.trees = {runtime.findTree("x_tree")};
+  info.trees = {runtime.store().findTree("x_tree")};
   provide(info).onCompile = [&](Kernel &kernel, TaiKernelFn &function) {
-    kernel.setTrees({runtime.findTree("x_tree")});
+    kernel.setTrees({runtime.store().findTree("x_tree")});
     function = [](TaiFrame *) { return 0; };
     return Status::success();
   };
-  KernelPtr late = runtime.createKernel(info);
-  KernelPtr never = runtime.createKernel(info);
+  KernelPtr late = runtime.launcher().kernels().create(info);
+  KernelPtr never = runtime.launcher().kernels().create(info);
   ASSERT_OK(runtime.destroyTree("x_tree"));
   EXPECT_EQ(runtime.launch(*never, nullptr, 0, nullptr).message(),
             "kernel 'k' uses a tree that has been destroyed");
   x = makeField(runtime, "x", ScalarKind::F32, {2});
   EXPECT_EQ(runtime.launch(*late, nullptr, 0, nullptr).message(),
             "kernel 'k' uses tree 'x_tree', which has been destroyed");
-  info.trees = {runtime.findTree("x_tree")};
-  EXPECT_OK(runtime.launch(*runtime.createKernel(info), nullptr, 0, nullptr));
+  info.trees = {runtime.store().findTree("x_tree")};
+  EXPECT_OK(runtime.launch(*runtime.launcher().kernels().create(info), nullptr,
+                           0, nullptr));
 }
 
 static long residentPages() {
@@ -116,7 +117,7 @@ TEST(RuntimeTree, RoundsLeakNothing) {
   auto rounds = [&](int count) {
     for (int i = 0; i < count; ++i) {
       FieldPtr x = makeDifferentiable(runtime, "x", ScalarKind::F32, {1000});
-      ASSERT_OK(runtime.fillF64(*x, 1));
+      ASSERT_OK(runtime.writes().fillF64(*x, 1));
       ASSERT_OK(runtime.destroyTree("x_tree"));
       ASSERT_OK(runtime.destroyTree("x_grad_tree"));
     }
@@ -129,21 +130,21 @@ TEST(RuntimeTree, RoundsLeakNothing) {
 #else
   (void)before;
 #endif
-  EXPECT_EQ(runtime.reservedBytes(), 0);
+  EXPECT_EQ(runtime.memory().reserved(), 0);
 }
 
 TEST(RuntimeField, RefusesLayoutsThatLeaveTheTree) {
   Runtime runtime;
   FieldInfo info;
-  ASSERT_OK(runtime.addTree("t", 100, info.tree));
+  ASSERT_OK(runtime.store().addTree("t", 100, info.tree));
   info.name = "x";
   info.layout = rowMajor(ScalarKind::F32, {26});
   FieldPtr field;
-  EXPECT_EQ(runtime.addField(info, field).message(),
+  EXPECT_EQ(runtime.store().addField(info, field).message(),
             "field 'x' does not fit into tree 't' of 100 bytes");
   info.layout = rowMajor(ScalarKind::F32, {25});
-  EXPECT_OK(runtime.addField(info, field));
-  EXPECT_EQ(runtime.addField(info, field).message(),
+  EXPECT_OK(runtime.store().addField(info, field));
+  EXPECT_EQ(runtime.store().addField(info, field).message(),
             "field 'x' exists already");
 }
 
@@ -234,16 +235,16 @@ TEST(RuntimeField, SaysWhatIsOutOfRange) {
 TEST(RuntimeField, CountsFromItsOffset) {
   Runtime runtime;
   FieldInfo info;
-  ASSERT_OK(runtime.addTree("t", 40, info.tree));
+  ASSERT_OK(runtime.store().addTree("t", 40, info.tree));
   info.name = "x";
   info.layout = rowMajor(ScalarKind::F32, {10});
   info.layout.offset = {-5};
   FieldPtr x;
-  ASSERT_OK(runtime.addField(info, x));
+  ASSERT_OK(runtime.store().addField(info, x));
   set(*x, {-5}, 1);
   set(*x, {4}, 2);
   float values[10];
-  ASSERT_OK(runtime.copyToHost(*x, values));
+  ASSERT_OK(runtime.copies().copyOut(*x, values));
   EXPECT_EQ(values[0], 1);
   EXPECT_EQ(values[9], 2);
   int64_t index = 5;
@@ -293,28 +294,28 @@ TEST(RuntimeField, BulkCopiesFollowTheLayout) {
     SCOPED_TRACE(test.name);
     Runtime runtime;
     FieldInfo info;
-    ASSERT_OK(runtime.addTree("t", test.treeBytes, info.tree));
+    ASSERT_OK(runtime.store().addTree("t", test.treeBytes, info.tree));
     info.name = "x";
     info.layout = test.layout;
     FieldPtr x;
-    ASSERT_OK(runtime.addField(info, x));
+    ASSERT_OK(runtime.store().addField(info, x));
     EXPECT_EQ(x->contiguous(), test.contiguous);
     EXPECT_EQ(x->hostBytes(), 6 * 10 * 2 * 4);
     std::vector<float> in(120), out(120);
     std::iota(in.begin(), in.end(), 1.0f);
-    ASSERT_OK(runtime.copyFromHost(*x, in.data()));
+    ASSERT_OK(runtime.writes().copyIn(*x, in.data()));
     for (int64_t i = 0; i < 6; ++i)
       for (int64_t j = 0; j < 10; ++j)
         for (int64_t c = 0; c < 2; ++c)
           ASSERT_EQ(get(*x, {i, j}, c), in[(i * 10 + j) * 2 + c]);
-    ASSERT_OK(runtime.copyToHost(*x, out.data()));
+    ASSERT_OK(runtime.copies().copyOut(*x, out.data()));
     EXPECT_EQ(in, out);
     // No memory outside the field may change.
     std::string before(info.tree->base(), info.tree->bytes());
-    ASSERT_OK(runtime.fillF64(*x, 7));
-    ASSERT_OK(runtime.copyToHost(*x, out.data()));
+    ASSERT_OK(runtime.writes().fillF64(*x, 7));
+    ASSERT_OK(runtime.copies().copyOut(*x, out.data()));
     EXPECT_EQ(out, std::vector<float>(120, 7));
-    ASSERT_OK(runtime.copyFromHost(*x, in.data()));
+    ASSERT_OK(runtime.writes().copyIn(*x, in.data()));
     EXPECT_EQ(before, std::string(info.tree->base(), info.tree->bytes()));
   }
 }
@@ -326,19 +327,19 @@ TEST(RuntimeField, CopiesLargeFieldsOnAllThreads) {
   int64_t n = 1 << 18;
   // A record of three values, with x in the middle.
   FieldInfo info;
-  ASSERT_OK(runtime.addTree("t", n * 12, info.tree));
+  ASSERT_OK(runtime.store().addTree("t", n * 12, info.tree));
   info.name = "x";
   info.layout = rowMajor(ScalarKind::I32, {n}, {}, 4);
   info.layout.indices = {{{1, n, 12}}};
   FieldPtr x;
-  ASSERT_OK(runtime.addField(info, x));
+  ASSERT_OK(runtime.store().addField(info, x));
   std::vector<int32_t> in(n), out(n);
   std::iota(in.begin(), in.end(), -1000);
-  ASSERT_OK(runtime.copyFromHost(*x, in.data()));
-  ASSERT_OK(runtime.copyToHost(*x, out.data()));
+  ASSERT_OK(runtime.writes().copyIn(*x, in.data()));
+  ASSERT_OK(runtime.copies().copyOut(*x, out.data()));
   EXPECT_EQ(in, out);
-  ASSERT_OK(runtime.fillI64(*x, -3));
-  ASSERT_OK(runtime.copyToHost(*x, out.data()));
+  ASSERT_OK(runtime.writes().fillI64(*x, -3));
+  ASSERT_OK(runtime.copies().copyOut(*x, out.data()));
   EXPECT_EQ(out, std::vector<int32_t>(n, -3));
   for (int64_t b = 0; b < n * 12; b += 12)
     ASSERT_EQ(info.tree->base()[b], 0);
@@ -356,12 +357,12 @@ TEST(RuntimeField, LinksAdjointsInEitherOrder) {
   EXPECT_EQ(y->adjoint(), yGrad.get());
   EXPECT_TRUE(yGrad->isAdjoint());
   FieldInfo bad;
-  ASSERT_OK(runtime.addTree("z_tree", 16, bad.tree));
+  ASSERT_OK(runtime.store().addTree("z_tree", 16, bad.tree));
   bad.name = "z";
   bad.layout = rowMajor(ScalarKind::F32, {4});
   bad.adjoint = "x_grad";
   FieldPtr z;
-  EXPECT_EQ(runtime.addField(bad, z).message(),
+  EXPECT_EQ(runtime.store().addField(bad, z).message(),
             "field 'z' and its adjoint or tangent 'x_grad' differ in shape or "
             "element type");
 }
@@ -372,14 +373,14 @@ TEST(RuntimeField, ClearsDirtyAdjointsOnly) {
   FieldPtr y = makeDifferentiable(runtime, "y", ScalarKind::F32, {100});
   set(*x, {1}, 5);
   set(*x->adjoint(), {2}, 6);
-  EXPECT_TRUE(runtime.clearGradients());
+  EXPECT_TRUE(runtime.gradients().clear());
   EXPECT_EQ(get(*x, {1}), 5);
   EXPECT_EQ(get(*x->adjoint(), {2}), 0);
   EXPECT_EQ(runtime.counters().clearedFields, 1);
-  EXPECT_TRUE(runtime.clearGradients());
+  EXPECT_TRUE(runtime.gradients().clear());
   EXPECT_EQ(runtime.counters().clearedFields, 1);
   // A launch that changes an adjoint marks it as dirty.
-  FieldPtr yGrad = runtime.findField("y_grad");
+  FieldPtr yGrad = runtime.store().findField("y_grad");
   auto kernel = makeKernel(runtime, "k",
                            [](TaiFrame *frame) {
                              static_cast<float *>(frame->trees[0])[7] = 3;
@@ -389,7 +390,7 @@ TEST(RuntimeField, ClearsDirtyAdjointsOnly) {
   ASSERT_OK(runtime.launch(*kernel, nullptr, 0, nullptr));
   EXPECT_TRUE(yGrad->dirty());
   EXPECT_EQ(get(*yGrad, {7}), 3);
-  EXPECT_TRUE(runtime.clearGradients());
+  EXPECT_TRUE(runtime.gradients().clear());
   EXPECT_EQ(get(*yGrad, {7}), 0);
   EXPECT_FALSE(yGrad->dirty());
 }

@@ -85,7 +85,8 @@ struct Scene {
     KernelInfo info;
     info.name = "f";
     info.argSlots = 1;
-    info.trees = {runtime.findTree("x_tree"), runtime.findTree("y_tree")};
+    info.trees = {runtime.store().findTree("x_tree"),
+                  runtime.store().findTree("y_tree")};
     info.summary = {{x, AccessKind::Read}, {y, AccessKind::Accumulate}};
     info.function = note<'f'>;
     KernelInfo reverse;
@@ -93,8 +94,8 @@ struct Scene {
     reverse.argSlots = 1;
     reverse.trees = info.trees;
     reverse.function = note<'r'>;
-    info.adjoint = runtime.createKernel(reverse);
-    return runtime.createKernel(info);
+    info.adjoint = runtime.launcher().kernels().create(reverse);
+    return runtime.launcher().kernels().create(info);
   }
 };
 } // namespace
@@ -178,7 +179,8 @@ TEST(SweepSeeds, FindsLiveFields) {
   // A gradient of another thread counts only if the tape uses it.
   std::thread([&] { scene.y->adjoint()->markDirty(); }).join();
   EXPECT_EQ(seeds.liveFields(false, scene.holds).size(), 2u);
-  ASSERT_OK(scene.holds.add(scene.runtime.findField("y_grad"), HoldKind::Add));
+  ASSERT_OK(scene.holds.add(scene.runtime.store().findField("y_grad"),
+                            HoldKind::Add));
   EXPECT_EQ(seeds.liveFields(false, scene.holds).size(), 3u);
 }
 
@@ -199,12 +201,12 @@ TEST(ChangeWatch, TellsWhatMatters) {
   EXPECT_OK(changes.check(memory, notes, lostStored));
   EXPECT_TRUE(notes.empty());
   EXPECT_FALSE(lostStored);
-  ASSERT_OK(scene.runtime.fillF64(*scene.x, 3));
+  ASSERT_OK(scene.runtime.writes().fillF64(*scene.x, 3));
   EXPECT_FALSE(changes.check(memory, notes, lostStored).ok());
   changes.begin(memory);
   EXPECT_OK(changes.check(memory, notes, lostStored));
   // A change of a field that the sequence does not use.
-  ASSERT_OK(scene.runtime.fillF64(*scene.loss, 3));
+  ASSERT_OK(scene.runtime.writes().fillF64(*scene.loss, 3));
   EXPECT_OK(changes.check(memory, notes, lostStored));
   EXPECT_TRUE(notes.empty());
 }
@@ -253,7 +255,7 @@ TEST(LostGradients, SaysOnceWhereTheyEnd) {
     info.function = note<'t'>;
     info.summary = {{from, AccessKind::Read}, {to, AccessKind::Write}};
     info.provider = std::make_shared<OneFlow>();
-    return scene.runtime.createKernel(info);
+    return scene.runtime.launcher().kernels().create(info);
   };
   KernelPtr in = through("in", scene.x, plain);
   KernelPtr out = through("out", plain, scene.loss);

@@ -78,7 +78,7 @@ struct Scene {
     return makeDifferentiable(runtime, name, ScalarKind::F64, {n});
   }
   TreePtr tree(const Field &field) {
-    return runtime.findTree(field.tree().name());
+    return runtime.store().findTree(field.tree().name());
   }
 
   /// A box of all elements, as the stores of a launch in any layout.
@@ -105,7 +105,7 @@ struct Scene {
       info.trees = {tree(*from), tree(*to), tree(*from->adjoint()),
                     tree(*to->adjoint())};
       info.function = reverse;
-      adjoint = runtime.createKernel(info);
+      adjoint = runtime.launcher().kernels().create(info);
       return Status::success();
     };
     TestProvider &provider = provide(info);
@@ -114,7 +114,7 @@ struct Scene {
       return make(primal, variant.zeroes ? zeroing : reverse, adjoint);
     };
     provider.zeroes = zeroing != nullptr;
-    return runtime.createKernel(info);
+    return runtime.launcher().kernels().create(info);
   }
   KernelPtr sineOf(const FieldPtr &from, const FieldPtr &to) {
     return pair(to->name() + "=sin(" + from->name() + ")", from, to,
@@ -136,9 +136,9 @@ struct Scene {
     reverse.name = info.name + "_grad";
     reverse.trees = {tree(*to), tree(*to->adjoint())};
     reverse.function = onesAdjoint;
-    info.adjoint = runtime.createKernel(reverse);
+    info.adjoint = runtime.launcher().kernels().create(reverse);
     info.zeroesAdjoints = true;
-    return runtime.createKernel(info);
+    return runtime.launcher().kernels().create(info);
   }
 
   void launch(const KernelPtr &kernel, double scale = 1) {
@@ -197,7 +197,7 @@ TEST(RuntimeTape, PlansAReplayByClearedGradients) {
   scene.launch(other, 1.5);
   scene.launch(sum);
   tape->end();
-  ASSERT_OK(scene.runtime.fillF64(*scene.w->adjoint(), 1.0));
+  ASSERT_OK(scene.runtime.writes().fillF64(*scene.w->adjoint(), 1.0));
   EXPECT_EQ(tape->pendingAdjoints(/*cleared=*/true).size(), 2u);
   EXPECT_EQ(tape->pendingAdjoints(/*cleared=*/false).size(), 3u);
   ASSERT_OK(tape->replay(true, true));
@@ -218,7 +218,7 @@ TEST(RuntimeTape, SkipsWhatCannotContribute) {
   plainInfo.differentiable = false;
   plainInfo.summary = {{scene.y, AccessKind::Read}};
   plainInfo.function = [](TaiFrame *) { return 0; };
-  auto plain = scene.runtime.createKernel(plainInfo);
+  auto plain = scene.runtime.launcher().kernels().create(plainInfo);
 
   scene.startAt(0.2);
   auto tape = scene.begin();
@@ -471,15 +471,15 @@ TEST(RuntimeTape, GivesReverseTheSameRandomNumbers) {
     return 0;
   };
   KernelInfo reverse = info;
-  info.adjoint = scene.runtime.createKernel(reverse);
-  auto noise = scene.runtime.createKernel(info);
+  info.adjoint = scene.runtime.launcher().kernels().create(reverse);
+  auto noise = scene.runtime.launcher().kernels().create(info);
   auto tape = scene.begin();
   for (int i = 0; i < 3; ++i)
     scene.launch(noise);
   ASSERT_OK(tape->backward());
   ASSERT_OK(tape->replay(true, true));
   std::vector<int64_t> launches(100);
-  ASSERT_OK(scene.runtime.copyToHost(*log, launches.data()));
+  ASSERT_OK(scene.runtime.copies().copyOut(*log, launches.data()));
   EXPECT_EQ(std::vector<int64_t>(launches.begin(), launches.begin() + 13),
             (std::vector<int64_t>{12, 0, 1, 2, 2, 1, 0, 3, 4, 5, 5, 4, 3}));
 }
@@ -603,7 +603,7 @@ TEST(RuntimeHost, RunsATape) {
            tai_rt_host_tape_end(frame);
   }));
   EXPECT_NEAR(get(*scene.x->adjoint(), {1}), scene.expected(0.3, 1, 2), 1e-15);
-  EXPECT_EQ(scene.runtime.recordingTape(), nullptr);
+  EXPECT_EQ(scene.runtime.recordings().current(), nullptr);
 }
 
 TEST(RuntimeHost, ReportsErrors) {
@@ -632,7 +632,7 @@ TEST(RuntimeHost, ReportsErrors) {
                      return tai_rt_host_tape_begin(frame, "loss") || 1;
                    })
                    .ok());
-  EXPECT_EQ(scene.runtime.recordingTape(), nullptr);
+  EXPECT_EQ(scene.runtime.recordings().current(), nullptr);
 }
 
 // Host programs need their kernels, fields and trees; kernels belong to no
@@ -657,7 +657,7 @@ TEST(RuntimeHost, ReportsWhatIsMissing) {
   program.kernels["step"] = scene.sineOf(scene.x, scene.y);
   auto messageOf = [&](TaiKernelFn function) {
     std::string message(program.run(function).message());
-    EXPECT_EQ(scene.runtime.recordingTape(), nullptr);
+    EXPECT_EQ(scene.runtime.recordings().current(), nullptr);
     return message;
   };
   EXPECT_EQ(messageOf([](TaiFrame *frame) {
@@ -733,7 +733,7 @@ TEST(RuntimeHost, ChecksOfWhatFails) {
     scene.startAt(0.3);
     left = fails;
     Status status = program.run(check);
-    EXPECT_EQ(scene.runtime.recordingTape(), nullptr);
+    EXPECT_EQ(scene.runtime.recordings().current(), nullptr);
     if (status)
       break;
     ++failures;

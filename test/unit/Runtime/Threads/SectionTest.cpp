@@ -221,7 +221,7 @@ TEST(OwedZerosOfThreads, AreStoredOnceAndSeenByAll) {
       }
     });
   for (int r = 1; r <= rounds; ++r) {
-    EXPECT_OK(runtime.copyFromHost(*field, ones.data()));
+    EXPECT_OK(runtime.writes().copyIn(*field, ones.data()));
     field->oweZeros(zeros);
     EXPECT_TRUE(field->owesZeros());
     round.store(r, std::memory_order_release);

@@ -32,7 +32,7 @@ struct Scene {
   FieldPtr loss = makeDifferentiable(runtime, "loss", ScalarKind::F64, {});
 
   TreePtr tree(const Field &field) {
-    return runtime.findTree(field.tree().name());
+    return runtime.store().findTree(field.tree().name());
   }
   /// A kernel over `fields`; its adjoint gets the fields and then their
   /// adjoints.
@@ -55,13 +55,13 @@ struct Scene {
     for (const FieldPtr &field : fields)
       if (field->adjoint())
         adjoint.trees.push_back(tree(*field->adjoint()));
-    info.adjoint = runtime.createKernel(adjoint);
+    info.adjoint = runtime.launcher().kernels().create(adjoint);
     info.zeroesAdjoints = true;
     provide(info).onPlanAdjoint = [plan](Kernel &, AdjointAccesses &result) {
       result = plan;
       return Status::success();
     };
-    return runtime.createKernel(info);
+    return runtime.launcher().kernels().create(info);
   }
 
   /// x[i] = x[i]^2 in place: the adjoint needs x from before the launch.
@@ -201,7 +201,7 @@ TEST(RuntimeTapeSave, StateWithoutTime) {
   // x is saved once in each step; y, which no adjoint reads, is never saved.
   EXPECT_EQ(tape->stats().savedBytes, steps * n * 8);
   for (int round = 0; round < 2; ++round) {
-    EXPECT_TRUE(scene.runtime.clearGradients());
+    EXPECT_TRUE(scene.runtime.gradients().clear());
     ASSERT_OK(tape->backward());
     for (int64_t i = 0; i < n; ++i)
       EXPECT_NEAR(scene.gradient()[i], swing(0.3 + 0.1 * double(i), steps),
@@ -297,7 +297,7 @@ TEST(RuntimeTapeSave, FixedIndicesDoNotMeet) {
     plan.reads = {{path, AccessKind::Read, {now}}};
     return Status::success();
   };
-  auto step = scene.runtime.createKernel(info);
+  auto step = scene.runtime.launcher().kernels().create(info);
   auto tape = scene.begin();
   auto run = [&](uint64_t t) {
     EXPECT_OK(scene.runtime.launch(*step, &t, 1, nullptr));
@@ -315,7 +315,7 @@ TEST(RuntimeTapeSave, StridedLayouts) {
   // Interleaved with another field, in blocks, and with the slow index last.
   Scene scene;
   TreePtr tree;
-  ASSERT_OK(scene.runtime.addTree("cells", 8 * 2 * 12, tree));
+  ASSERT_OK(scene.runtime.store().addTree("cells", 8 * 2 * 12, tree));
   auto add = [&](const char *name, int64_t place) {
     FieldInfo info;
     info.name = name;
@@ -325,7 +325,7 @@ TEST(RuntimeTapeSave, StridedLayouts) {
     // 4 x 3, with two blocks of two along the first index.
     info.layout.indices = {{{2, 2, 96}, {1, 2, 48}}, {{1, 3, 16}}};
     FieldPtr field;
-    EXPECT_OK(scene.runtime.addField(info, field));
+    EXPECT_OK(scene.runtime.store().addField(info, field));
     return field;
   };
   FieldPtr a = add("a", 0), b = add("b", 8);
@@ -380,7 +380,7 @@ TEST(RuntimeTapeSave, WritesOfTheHost) {
   auto tape = scene.begin();
   scene.launch(kick);
   int64_t second = 1;
-  ASSERT_OK(runtime.writeF64(*scene.x, &second, 0, 2.5));
+  ASSERT_OK(runtime.writes().writeF64(*scene.x, &second, 0, 2.5));
   scene.launch(kick);
   scene.launch(drift);
   scene.launch(sum);
@@ -401,9 +401,9 @@ TEST(RuntimeTapeSave, WritesOfTheHost) {
   tape.reset();
   tape = scene.begin();
   scene.launch(kick);
-  ASSERT_OK(runtime.fillF64(*scene.x, 1.0));
+  ASSERT_OK(runtime.writes().fillF64(*scene.x, 1.0));
   std::vector<double> other(n, 0.25);
-  ASSERT_OK(runtime.copyFromHost(*scene.x, other.data()));
+  ASSERT_OK(runtime.writes().copyIn(*scene.x, other.data()));
   scene.launch(drift);
   scene.launch(sum);
   tape->end();
@@ -494,7 +494,7 @@ TEST(RuntimeTapeSave, ChangedAfterwards) {
   scene.launch(sum);
   tape->end();
   ASSERT_OK(tape->backward());
-  ASSERT_OK(scene.runtime.fillF64(*scene.x, 3));
+  ASSERT_OK(scene.runtime.writes().fillF64(*scene.x, 3));
   EXPECT_EQ(tape->backward().message(),
             "field 'x' was changed by the host after the tape had recorded, "
             "and the gradient needs what it held; replay the tape forward and "
@@ -505,8 +505,8 @@ TEST(RuntimeTapeSave, ChangedAfterwards) {
   EXPECT_FALSE(tape->backward().ok()) << "changed by a kernel";
   ASSERT_OK(tape->replay(true, true));
   // An element that no adjoint reads only causes a warning.
-  ASSERT_OK(scene.runtime.fillF64(*scene.y, 3));
-  EXPECT_TRUE(scene.runtime.clearGradients());
+  ASSERT_OK(scene.runtime.writes().fillF64(*scene.y, 3));
+  EXPECT_TRUE(scene.runtime.gradients().clear());
   ASSERT_OK(tape->backward());
   ASSERT_EQ(tape->warnings().size(), 1u);
   EXPECT_NE(tape->warnings()[0].find("field 'y' was changed by the host"),
@@ -643,7 +643,7 @@ TEST(RuntimeTapeSave, RecomputesTheSame) {
       scene.launch(kick);
       scene.launch(drift);
       if (s == 3)
-        ASSERT_OK(scene.runtime.writeF64(*scene.x, &second, 0, 0.2));
+        ASSERT_OK(scene.runtime.writes().writeF64(*scene.x, &second, 0, 0.2));
       if (s % 8 == 5)
         scene.launch(square);
       if (s == 9) {
@@ -657,7 +657,7 @@ TEST(RuntimeTapeSave, RecomputesTheSame) {
     scene.launch(sum);
     auto last = scene.values(*scene.x);
     for (int round = 0; round < 2; ++round) {
-      EXPECT_TRUE(scene.runtime.clearGradients());
+      EXPECT_TRUE(scene.runtime.gradients().clear());
       ASSERT_OK(tape->backward());
       if (expected.empty())
         expected = scene.gradient();
@@ -738,13 +738,13 @@ TEST(RuntimeTapeSave, WhatWasNotPlannedIsNotLaunched) {
     KernelInfo info;
     info.name = "square_grad";
     info.function = [](TaiFrame *) { return 0; };
-    adjoint = scene.runtime.createKernel(info);
+    adjoint = scene.runtime.launcher().kernels().create(info);
     return Status::success();
   };
   provide(info).onPlanAdjoint = [](Kernel &, AdjointAccesses &) {
     return Status::failure(StatusCode::Compile, "no parts", "a.py:1:2");
   };
-  auto kernel = scene.runtime.createKernel(info);
+  auto kernel = scene.runtime.launcher().kernels().create(info);
   auto tape = scene.begin();
   ASSERT_OK(scene.runtime.launch(*kernel, nullptr, 0, nullptr));
   for (int repeat = 0; repeat < 2; ++repeat) {
