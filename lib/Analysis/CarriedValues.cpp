@@ -24,18 +24,6 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-StringRef mlir::tai::stringifyCarriedKind(CarriedKind kind) {
-  switch (kind) {
-  case CarriedKind::ClosedForm:
-    return "closed form";
-  case CarriedKind::Invertible:
-    return "invertible";
-  case CarriedKind::Trajectory:
-    return "trajectory";
-  }
-  llvm_unreachable("no such kind");
-}
-
 /// Returns the number of values that a loop carries from iteration to
 /// iteration.
 static unsigned getNumCarried(Operation *loop) {

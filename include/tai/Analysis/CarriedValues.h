@@ -78,8 +78,6 @@ private:
   llvm::SmallVector<CarriedValue, 4> values;
 };
 
-llvm::StringRef stringifyCarriedKind(CarriedKind kind);
-
 /// Liveness of the values in a region: a value is live if effects, or
 /// terminators of the region's own blocks, need it. Each result of a branch or
 /// loop has its own liveness.
