@@ -68,7 +68,7 @@ public:
   static constexpr SkipSet ofCompiler() {
     return SkipSet(bit(Skip::ActivityTests) | bit(Skip::RepeatedLookups) |
                    bit(Skip::InactiveValues) | bit(Skip::UnneededRecords) |
-                   bit(Skip::UntakenBranches));
+                   bit(Skip::UntakenBranches) | bit(Skip::ZeroAdjoints));
   }
 
   constexpr SkipSet() = default;

@@ -513,8 +513,8 @@ static Value emitCounts(LLVM::LLVMFuncOp function, RuntimeCalls &runtime) {
     builder.setInsertionPoint(end);
     Value run = LLVM::LoadOp::create(builder, loc, i64, slot(0));
     Value skipped = LLVM::LoadOp::create(builder, loc, i64, slot(1));
-    runtime.call(builder, loc, "tai_rt_count_cells", Type(),
-                 {function.getArgument(0), run, skipped});
+    runtime.tai_rt_count_cells(builder, loc, function.getArgument(0), run,
+                               skipped);
   });
   return counts;
 }

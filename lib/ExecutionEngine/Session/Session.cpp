@@ -109,7 +109,6 @@ Session::Session()
   RemarkScope::prepare(context.get());
   rt = std::make_unique<runtime::Runtime>();
   compileOptions.oneThread = rt->threads() == 1;
-  compileOptions.skips.set(Skip::ZeroAdjoints, true);
   compiler = std::make_unique<Compiler>(context.get(), getPipelines(),
                                         runtime::runtimeSymbols());
   compiler->loadDialects();

@@ -298,9 +298,6 @@ LogicalResult Session::setSkip(StringRef names) {
   if (!SkipSet::parse(names, skips, error))
     return fail(FailureKind::Usage, "option 'skip': " + error);
   compileOptions.skips = skips & SkipSet::ofCompiler();
-  // The runtime leaves out cells of sparse fields, and code leaves out blocks
-  // of dense ones.
-  compileOptions.skips.set(Skip::ZeroAdjoints, skips.has(Skip::ZeroAdjoints));
   rt->setSkips(skips);
   return success();
 }

@@ -224,11 +224,6 @@ extern "C" void tai_rt_stack_free(TaiStack *stack) {
 //===----------------------------------------------------------------------===//
 
 extern "C" void tai_rt_count_cells(TaiFrame *frame, int64_t visited,
-                                   int64_t skipped);
-
-/// Counts iterations of reverse loops: those that ran, and those that were
-/// skipped because their adjoints are zero.
-extern "C" void tai_rt_count_cells(TaiFrame *frame, int64_t visited,
                                    int64_t skipped) {
   mlir::tai::SkipCounters &counters = launchOf(frame).owner().skipCounters();
   counters.add(mlir::tai::SkipCount::FlaggedVisited, visited);
@@ -287,23 +282,14 @@ static std::vector<RuntimeSymbol> getAbiSymbols() {
   return {
 #define TAI_ENTRY(result, name, parameters) TAI_SYMBOL(tai_rt_##name),
 #include "tai/ABI/Abi.def"
-      TAI_SYMBOL(tai_rt_count_cells),
-      {"tai_rt_tick", &tai_rt_tick},
-      {"tai_rt_shadows", &tai_rt_shadows},
-      TAI_SYMBOL(tai_emu_thread_id),
-      TAI_SYMBOL(tai_emu_block_id),
-      TAI_SYMBOL(tai_emu_block_dim),
-      TAI_SYMBOL(tai_emu_block_barrier),
-      TAI_SYMBOL(tai_emu_warp_barrier),
-      TAI_SYMBOL(tai_emu_exchange),
-      TAI_SYMBOL(tai_emu_match),
-      TAI_SYMBOL(tai_emu_begin_group),
-      TAI_SYMBOL(tai_emu_next_in_group),
-      TAI_SYMBOL(tai_emu_end_group),
-      TAI_SYMBOL(tai_emu_grid_dim),
-      TAI_SYMBOL(tai_emu_look),
-      TAI_SYMBOL(tai_emu_allocate),
-      TAI_SYMBOL(tai_emu_free)};
+      {"tai_rt_tick", &tai_rt_tick},     {"tai_rt_shadows", &tai_rt_shadows},
+      TAI_SYMBOL(tai_emu_thread_id),     TAI_SYMBOL(tai_emu_block_id),
+      TAI_SYMBOL(tai_emu_block_dim),     TAI_SYMBOL(tai_emu_block_barrier),
+      TAI_SYMBOL(tai_emu_warp_barrier),  TAI_SYMBOL(tai_emu_exchange),
+      TAI_SYMBOL(tai_emu_match),         TAI_SYMBOL(tai_emu_begin_group),
+      TAI_SYMBOL(tai_emu_next_in_group), TAI_SYMBOL(tai_emu_end_group),
+      TAI_SYMBOL(tai_emu_grid_dim),      TAI_SYMBOL(tai_emu_look),
+      TAI_SYMBOL(tai_emu_allocate),      TAI_SYMBOL(tai_emu_free)};
 #undef TAI_SYMBOL
 }
 
