@@ -44,6 +44,10 @@ typedef const char *(*TaiExchangeHandler)(const TaiExchange *exchange);
 TAI_EXPORT void taiSetMesh(int64_t rank, int64_t ranks,
                            TaiExchangeHandler handler);
 
+/// The number of exchanges that were left out, since the rank had all rows that
+/// the loops read.
+TAI_EXPORT int64_t taiMeshExchangesLeftOut(void);
+
 #ifdef __cplusplus
 }
 #endif

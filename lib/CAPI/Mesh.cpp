@@ -7,6 +7,7 @@
 
 #include "tai-c/Mesh.h"
 #include "tai/Runtime/Launch/Mesh.h"
+#include "tai/Runtime/Storage/Halos.h"
 
 using namespace mlir::tai;
 
@@ -36,3 +37,5 @@ void taiSetMesh(int64_t rank, int64_t ranks, TaiExchangeHandler handler) {
   }
   runtime::setMesh(std::move(mesh));
 }
+
+int64_t taiMeshExchangesLeftOut(void) { return runtime::halos::numLeftOut(); }

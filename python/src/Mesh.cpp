@@ -62,4 +62,6 @@ void taipy::bindMesh(py::module_ &module) {
         callee = function.release().ptr();
       },
       "Makes the process a rank of a mesh; each exchange calls the function.");
+  module.def("exchanges_left_out", &taiMeshExchangesLeftOut,
+             "The number of exchanges that were left out.");
 }

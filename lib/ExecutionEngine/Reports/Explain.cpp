@@ -241,6 +241,43 @@ static void describeGathers(llvm::raw_ostream &os, StringRef where,
   }
 }
 
+/// "3 rows before and 1 row behind those of the rank".
+static std::string formatHalos(const KeptRemark &remark) {
+  SmallVector<std::string> sides;
+  for (auto [key, side] : {std::pair("Before", "before"), {"After", "behind"}})
+    if (StringRef rows = remark.get(key); rows != "0")
+      sides.push_back(llvm::formatv("{0} {1} {2}", rows,
+                                    rows == "1" ? "row" : "rows", side));
+  return llvm::join(sides, " and ") + " those of the rank";
+}
+
+/// Describes how the ranks of a mesh communicate.
+static void describeExchanges(llvm::raw_ostream &os, StringRef where,
+                              ArrayRef<KeptRemark> remarks) {
+  llvm::StringSet<> lines;
+  for (const KeptRemark &remark : remarks) {
+    if (remark.category != "tai-exchanges")
+      continue;
+    StringRef field = remark.get("Field"), name = remark.name;
+    std::string line =
+        llvm::formatv("{0} at {1}: ", where, formatPlace(remark.location));
+    if (name == "fetch")
+      line += llvm::formatv("fetches {0} of {1}", formatHalos(remark), field);
+    else if (name == "collect")
+      line += llvm::formatv("adds {0} of {1} to the rows of their owners",
+                            formatHalos(remark), field);
+    else if (name == "gather")
+      line += llvm::formatv("gathers all rows of {0}, because {1}", field,
+                            remark.get("Reason"));
+    else
+      line += llvm::formatv("all-reduces {0} ({1})", field, name);
+    if (StringRef at = remark.get("Line"); !at.empty())
+      line += (" (line " + at + ")").str();
+    if (lines.insert(line).second)
+      os << "  " << line << '\n';
+  }
+}
+
 std::string mlir::tai::explainGathers(StringRef where,
                                       ArrayRef<KeptRemark> remarks) {
   std::string text;
@@ -263,6 +300,8 @@ std::string mlir::tai::explainKernel(ModuleOp module, StringRef name,
   describeUpdates(os, lowering);
   describeGathers(os, "kernel", lowering);
   describeGathers(os, "gradient", gradient);
+  describeExchanges(os, "kernel", lowering);
+  describeExchanges(os, "gradient", gradient);
   KernelOp adjoint;
   if (kernel && kernel.getAdjointAttr())
     adjoint = module.lookupSymbol<KernelOp>(kernel.getAdjointAttr());

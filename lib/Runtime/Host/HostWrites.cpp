@@ -8,6 +8,7 @@
 #include "tai/Runtime/Host/HostWrites.h"
 #include "tai/Runtime/Host/HostWrite.h"
 #include "tai/Runtime/Mirror/Slabs.h"
+#include "tai/Runtime/Storage/Halos.h"
 #include "tai/Runtime/Storage/Scalars.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
@@ -147,6 +148,7 @@ Status HostWrites::change(const HostWrite &write) {
     free = recordings.checkActivity(field.tree());
   if (!free)
     return free;
+  halos::remove(field.tree().base() + field.layout().placeOffset);
   Recorder *tape = recordings.current();
   if (tape && field.sparseNode())
     tape->watch(field.sharedTree());
@@ -259,6 +261,7 @@ Status HostWrites::noteOutside(Field &field) {
         StatusCode::Usage,
         "field '" + field.name() +
             "' is written from outside while a tape records");
+  halos::remove(field.tree().base() + field.layout().placeOffset);
   field.countChange();
   field.markDirty();
   return Status::success();

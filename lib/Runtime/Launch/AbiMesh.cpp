@@ -13,22 +13,41 @@
 #include "tai/Runtime/Launch/Kernel.h"
 #include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/Mesh.h"
+#include "tai/Runtime/Launch/Runtime.h"
+#include "tai/Runtime/Storage/Halos.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
 
 static Mesh ofProcess;
 
-void mlir::tai::runtime::setMesh(Mesh mesh) { ofProcess = std::move(mesh); }
+void mlir::tai::runtime::setMesh(Mesh mesh) {
+  ofProcess = std::move(mesh);
+  halos::removeAll();
+}
 
 /// By ExchangeKind of the dialect.
-static constexpr const char *kKinds[] = {"fetch", "clear", "collect", "open",
-                                         "sum",   "min",   "max"};
+static constexpr const char *kKinds[] = {"fetch", "clear",  "collect",
+                                         "open",  "sum",    "min",
+                                         "max",   "gather", "stale"};
+
+static constexpr size_t kFetch = 0, kClear = 1, kCollect = 2, kStale = 8;
+
+/// True for launches of a reverse sweep or a replay, between which a tape may
+/// restore former rows.
+static bool isOfSweep(const Launch &launch) {
+  if (launch.isUnrecorded.load(std::memory_order_relaxed))
+    return false;
+  const Recorder *tape = launch.owner().recordingTape();
+  return !tape || tape->isSuspended();
+}
 
 extern "C" int64_t tai_rt_rank(TaiFrame *frame, int64_t ranks,
                                const char *where) {
   Launch &launch = launchOf(frame);
   const Mesh &mesh = ofProcess;
+  if (isOfSweep(launch))
+    halos::removeAll();
   if (mesh.ranks == ranks)
     return mesh.rank;
   orFail(frame, [&] {
@@ -78,6 +97,9 @@ extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
   if (launch.hasFailed())
     return;
   orFail(frame, [&] {
+    bool maySkip = !isOfSweep(launch);
+    if (!maySkip)
+      halos::removeAll();
     const Kernel *kernel = launch.running.load(std::memory_order_relaxed);
     Exchange exchange{kKinds[plan->kind],
                       field,
@@ -94,6 +116,20 @@ extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
                       {}};
     if (!select(*plan, at, static_cast<char *>(tree), exchange))
       return;
+    halos::Halo halo{static_cast<const char *>(tree) + plan->offset,
+                     exchange.address,
+                     exchange.extents,
+                     exchange.strides,
+                     exchange.before,
+                     exchange.after};
+    auto kind = static_cast<size_t>(plan->kind);
+    if (kind == kFetch ? maySkip && halos::isCurrent(halo) : kind == kStale) {
+      if (kind == kStale)
+        halos::removeChanged(halo);
+      return;
+    }
+    if (kind == kClear || kind == kCollect)
+      halos::remove(halo.field);
     const Mesh &mesh = ofProcess;
     std::string message = mesh.exchange
                               ? mesh.exchange(exchange)
@@ -101,6 +137,8 @@ extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
                                 "launch exchanges rows of a sharded field";
     if (!message.empty())
       launch.fail(Status::failure(StatusCode::Usage, message, where));
+    else if (kind == kFetch && maySkip)
+      halos::add(std::move(halo));
   });
 }
 

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Storage/Halos.h"
 #include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <cstring>
@@ -125,6 +126,8 @@ void Launch::fail(Status status) {
   if (failed.load(std::memory_order_relaxed))
     return;
   failure = std::move(status);
+  // Loops may have ended in the middle.
+  halos::removeAll();
   failed.store(true, std::memory_order_release);
 }
 

@@ -9,6 +9,9 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/IR/IRMapping.h"
+#include "mlir/IR/Remarks.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Support/Places.h"
 #include "tai/Transforms/Shards/Passes.h"
 #include "llvm/Support/raw_ostream.h"
 #include "llvm/Support/xxhash.h"
@@ -49,6 +52,11 @@ static void emitExchanges(OpBuilder &builder, ParallelForOp loop,
         builder.getI64IntegerAttr(planned.after), at,
         builder.getDenseI64ArrayAttr(planned.at.dims), IntegerAttr());
   }
+}
+
+static std::string formatLine(Location loc) {
+  FileLineColLoc place = findFileLocation(loc);
+  return place ? std::to_string(place.getLine()) : "";
 }
 
 /// Turns a loop over a field without sparse levels into one over its box of
@@ -103,6 +111,32 @@ static void clip(OpBuilder &builder, ParallelForOp loop,
   loop.getUpperBoundsMutable()[plan.dimension].set(newUpper);
 }
 
+/// Emits a remark for each communication of a loop.
+static void report(ParallelForOp loop, const ShardPlan &plan) {
+  if (!loop.getContext()->getRemarkEngine())
+    return;
+  auto function = loop->getParentOfType<FunctionOpInterface>();
+  auto tell = [&](const PlannedExchange &exchange) {
+    auto options =
+        remark::RemarkOpts::name(stringifyExchangeKind(exchange.kind))
+            .category("tai-exchanges")
+            .function(function ? function.getName() : "");
+    remark::passed(loop.getLoc(), options)
+        << remark::metric("Field", exchange.field.getValue().str())
+        << remark::metric("Before", std::to_string(exchange.before))
+        << remark::metric("After", std::to_string(exchange.after))
+        << remark::metric("Reason", plan.why.str())
+        << remark::metric("Line", formatLine(exchange.loc));
+  };
+  for (const PlannedExchange &exchange : plan.before)
+    if (exchange.kind == ExchangeKind::Fetch ||
+        exchange.kind == ExchangeKind::Gather)
+      tell(exchange);
+  for (const PlannedExchange &exchange : plan.after)
+    if (exchange.kind != ExchangeKind::Stale)
+      tell(exchange);
+}
+
 static LogicalResult shardLoop(ParallelForOp loop) {
   FailureOr<ShardPlan> plan = planShards(loop);
   if (failed(plan))
@@ -112,6 +146,9 @@ static LogicalResult shardLoop(ParallelForOp loop) {
   emitExchanges(before, loop, plan->before, before, known);
   after.setInsertionPointAfter(loop);
   emitExchanges(after, loop, plan->after, before, known);
+  report(loop, *plan);
+  if (plan->isWhole)
+    return success();
   ParallelForOp box = toBox(before, loop);
   before.setInsertionPoint(box);
   clip(before, box, *plan);

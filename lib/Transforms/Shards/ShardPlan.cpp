@@ -10,6 +10,7 @@
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "tai/Analysis/Index/IndexQueries.h"
 #include "tai/Analysis/Index/IndexShift.h"
+#include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Interfaces/FieldAccess.h"
 #include "llvm/Support/MathExtras.h"
 
@@ -66,6 +67,10 @@ private:
   LogicalResult planAdditions();
   LogicalResult checkReadsOfAdditions();
   LogicalResult planCopies();
+  void planWhole();
+  void planStale();
+  void add(std::vector<PlannedExchange> &list, RowAccess access,
+           ExchangeKind kind);
   LogicalResult checkSummable(AtomicOp op, StringRef memory) const;
   void add(std::vector<PlannedExchange> &list, PlannedExchange exchange);
   bool areApart(const FixedIndices &a, const FixedIndices &b) const;
@@ -112,6 +117,12 @@ LogicalResult Planner::checkForm() {
   return success();
 }
 
+/// True if the kernel allocates the array.
+static bool isOfKernel(Value array) {
+  return isa_and_nonnull<memref::AllocOp, memref::AllocaOp>(
+      array.getDefiningOp());
+}
+
 LogicalResult Planner::checkOps() {
   WalkResult result = loop->walk([&](Operation *op) {
     if (isa<RandomOp>(op)) {
@@ -124,7 +135,10 @@ LogicalResult Planner::checkOps() {
       array = store.getMemref();
     else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op))
       array = atomic.getMemref();
-    if (array && isOutside(array)) {
+    if (array && isOutside(array) && isOfKernel(array)) {
+      plan.isWhole = true;
+      plan.why = "the loop fills memory of the kernel for other loops";
+    } else if (array && isOutside(array)) {
       refuse(op)
           << "the loop accesses a sharded field, and writes to an array, "
              "of which each rank has a copy";
@@ -487,11 +501,48 @@ LogicalResult Planner::planCopies() {
   return success();
 }
 
+void Planner::add(std::vector<PlannedExchange> &list, RowAccess access,
+                  ExchangeKind kind) {
+  add(list, {kind, access.op.getFieldAttr(), access.op.getLoc(), access.at});
+}
+
+/// Lets each rank run all iterations if the bits of a sum depend on their
+/// order, or if later loops read memory of the kernel that all iterations fill.
+void Planner::planWhole() {
+  bool hasSum = llvm::any_of(plan.after, [&](const PlannedExchange &exchange) {
+    if (exchange.kind != ExchangeKind::Sum &&
+        exchange.kind != ExchangeKind::Collect)
+      return false;
+    FieldOp field = lookupField(loop, exchange.field);
+    return isa<FloatType>(getElementTypeOrSelf(field.getType()));
+  });
+  if (hasSum && hasFixedBits(loop)) {
+    plan.isWhole = true;
+    plan.why = "the order of a sum is to be that of one process";
+  }
+  if (!plan.isWhole)
+    return;
+  plan.before.clear();
+  plan.after.clear();
+  for (const RowAccess &access : rows)
+    if (!isa<StoreOp>(access.op))
+      add(plan.before, access, ExchangeKind::Gather);
+}
+
+/// Notes which rows the loop changes.
+void Planner::planStale() {
+  for (const RowAccess &access : rows)
+    if (!isa<LoadOp>(access.op))
+      add(plan.after, access, ExchangeKind::Stale);
+}
+
 FailureOr<ShardPlan> Planner::run() {
   if (failed(checkForm()) || failed(checkOps()) || failed(findAccesses()) ||
       failed(chooseOwner()) || failed(planReads()) || failed(planAdditions()) ||
       failed(planCopies()))
     return failure();
+  planWhole();
+  planStale();
   return std::move(plan);
 }
 

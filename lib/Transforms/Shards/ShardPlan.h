@@ -44,9 +44,12 @@ struct PlannedExchange {
 
 /// The plan of a loop that accesses sharded fields. The iteration with index
 /// `iv` along dimension `dimension` of the loop belongs to the owner of row
-/// iv + `offset`.
+/// iv + `offset`. If `isWhole`, each rank runs all iterations, on rows that it
+/// has gathered, for the reason `why`.
 struct ShardPlan {
   Sharding sharding;
+  bool isWhole = false;
+  StringRef why;
   unsigned dimension = 0;
   int64_t offset = 0;
   std::vector<PlannedExchange> before, after;

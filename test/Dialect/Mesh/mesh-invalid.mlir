@@ -116,3 +116,23 @@ tai.kernel @sharded(%t: index) {
   tai_mesh.exchange fetch @x before 1 at[%t] dims [1]
   tai.return
 }
+
+// -----
+
+tai.tree @t : !tai.root<{loss: f32}>
+tai.field @loss = @t["loss"] : f32, rank 0
+tai.kernel @gather() {
+  // expected-error @+1 {{'gather' expects a field that is below a 'shard' level}}
+  tai_mesh.exchange gather @loss
+  tai.return
+}
+
+// -----
+
+tai.tree @t : !tai.root<{loss: f32}>
+tai.field @loss = @t["loss"] : f32, rank 0
+tai.kernel @stale() {
+  // expected-error @+1 {{'stale' expects a field that is below a 'shard' level}}
+  tai_mesh.exchange stale @loss
+  tai.return
+}

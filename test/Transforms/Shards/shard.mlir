@@ -20,6 +20,8 @@ tai.field @loss = @t["loss"] : f32, rank 0
 //       CHECK:   %[[HIGH:.*]] = arith.minsi %[[UPPER:.*]], %[[END]]
 //       CHECK:   %[[B:.*]] = arith.select %{{.*}}, %[[UPPER]], %[[HIGH]]
 //       CHECK:   tai.parallel_for (%{{.*}}) = (%[[A]]) to (%[[B]])
+//       CHECK:   }
+//  CHECK-NEXT:   tai_mesh.exchange stale @y
 //   CHECK-NOT:   tai_mesh.exchange
 tai.kernel @stencil() {
   %c1 = arith.constant 1 : index
@@ -41,6 +43,7 @@ tai.kernel @stencil() {
 //   CHECK-NOT:   tai_mesh.exchange
 //       CHECK:   tai_mesh.rank of 4
 //       CHECK:   tai.parallel_for (%{{.*}}) = (%{{.*}}) to (%{{.*}}) {
+//       CHECK:   tai_mesh.exchange stale @y
 tai.kernel @own() {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
@@ -55,6 +58,7 @@ tai.kernel @own() {
 //       CHECK:   tai.parallel_for
 //       CHECK:   }
 //  CHECK-NEXT:   tai_mesh.exchange collect @y before 1 after 1
+//  CHECK-NEXT:   tai_mesh.exchange stale @y
 tai.kernel @scatter() {
   %c1 = arith.constant 1 : index
   %c63 = arith.constant 63 : index
@@ -89,6 +93,44 @@ tai.kernel @most() {
     %0 = tai.load @x[%i] : f32
     %1 = tai.atomic max %0, @loss[] : f32
   }
+  tai.return
+}
+
+// Every rank adds up all terms, in the order of one process.
+// CHECK-LABEL: tai.kernel @fixed(
+//       CHECK:   tai_mesh.exchange gather @x
+//   CHECK-NOT:   tai_mesh.rank
+//   CHECK-NOT:   tai_mesh.exchange
+//       CHECK:   tai.parallel_for (%{{.*}}) in @x
+//   CHECK-NOT:   tai_mesh.exchange
+tai.kernel @fixed() attributes {modes = {sums = "deterministic"}} {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.atomic add %0, @loss[] : f32
+  }
+  tai.return
+}
+
+// Later loops read memory of the kernel that all iterations fill.
+// CHECK-LABEL: tai.kernel @buffer(
+//       CHECK:   tai_mesh.exchange gather @x
+//   CHECK-NOT:   tai_mesh.rank
+//       CHECK:   tai.parallel_for (%{{.*}}) in @x
+//       CHECK:   tai_mesh.rank of 4
+//       CHECK:   tai.parallel_for (%{{.*}}) = (%{{.*}}) to (%{{.*}}) {
+tai.kernel @buffer() {
+  %c63 = arith.constant 63 : index
+  %m = memref.alloc() : memref<64xf32>
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    memref.store %0, %m[%i] : memref<64xf32>
+  }
+  tai.parallel_for (%i) in @y {
+    %k = arith.subi %c63, %i : index
+    %0 = memref.load %m[%k] : memref<64xf32>
+    tai.store %0, @y[%i] : f32
+  }
+  memref.dealloc %m : memref<64xf32>
   tai.return
 }
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
+import pickle
 from typing import Any
 
 import numpy as np
 import tai as ti
+from tai._impl.base.program import get_program
 
 
-def begin(transport: Any, fp: Any) -> None:
+def begin(transport: Any, fp: Any, **options: Any) -> None:
     mesh = None
     if transport is not None:
         mesh = ti.mesh("x", transport.size, transport)
-    ti.init(arch=ti.cpu, default_fp=fp, mesh=mesh, offline_cache=False, cpu_max_num_threads=1)
+    options = {"cpu_max_num_threads": 1, "offline_cache": False, **options}
+    ti.init(arch=ti.cpu, default_fp=fp, mesh=mesh, **options)
 
 
 def root(transport: Any, axis: Any) -> Any:
@@ -134,7 +137,7 @@ def scatter(transport: Any, fp: Any, n: int = 12) -> dict[str, Any]:
 
 def _blur(transport: Any, reach: int) -> tuple[Any, Any]:
     begin(transport, ti.f32)
-    x, y = ti.field(ti.f32), ti.field(ti.f32)
+    x, y = ti.field(ti.f32, name="x"), ti.field(ti.f32, name="y")
     root(transport, ti.i).dense(ti.i, 12).place(x, y)
 
     @ti.kernel
@@ -142,7 +145,11 @@ def _blur(transport: Any, reach: int) -> tuple[Any, Any]:
         for i in range(2, 10):
             y[i] = x[i - reach] + x[i + reach]
 
-    return x, blur
+    def run() -> None:
+        x.fill(1)  # The halos are current no longer.
+        blur()
+
+    return x, run
 
 
 def different(transport: Any) -> str:
@@ -200,6 +207,7 @@ def astray(transport: Any) -> str:
 
     blur()
     move()
+    x.fill(2)
     transport.patience = 5
     return _failure(move if transport.rank == 1 else blur)
 
@@ -229,7 +237,235 @@ def versions(transport: Any) -> str:
     return _failure(lambda: ti.init(arch=ti.cpu, mesh=mesh))
 
 
-SCENES = {"wave": wave, "heat": heat, "scatter": scatter}
+def _chain(transport: Any, n: int = 12, **options: Any) -> tuple[Any, Any, Any, Any]:
+    """Fields, and a function that adds across borders, reads neighbours, and measures a part."""
+    begin(transport, ti.f64, **options)
+    x, y, z = (ti.field(ti.f64, needs_grad=True, needs_dual=True) for _ in range(3))
+    loss = ti.field(ti.f64, needs_grad=True, needs_dual=True)
+    root(transport, ti.i).dense(ti.i, n).place(x, y, z)
+    ti.root.place(loss)
+
+    @ti.kernel
+    def spread():
+        for i in range(n - 1):
+            y[i + 1] += x[i] * x[i]
+            y[i] += 0.5 * x[i]
+
+    @ti.kernel
+    def bend():
+        for i in range(n):
+            z[i] = y[ti.max(i - 1, 0)] * y[i] + ti.sin(y[ti.min(i + 1, n - 1)])
+
+    @ti.kernel
+    def measure():
+        for i in range(3, n - 2):
+            loss[None] += z[i] ** 2
+
+    def run() -> None:
+        y.fill(0)
+        loss[None] = 0
+        spread()
+        bend()
+        measure()
+
+    x.from_numpy(_noise(n))
+    return x, z, loss, run
+
+
+def forward(transport: Any, fp: Any) -> dict[str, Any]:
+    """Derivatives forward through exchanges, and second derivatives."""
+    x, z, loss, run = _chain(transport)
+    along = _noise(12)[::-1].copy()
+    (first,) = ti.ad.jvp(run, [x], [along], [z])
+    (slope,) = ti.ad.jvp(run, [x], [along], [loss])
+    (second,) = ti.ad.hvp(run, loss, [x], [along])
+    return {"jvp": first, "slope": slope, "hvp": second}
+
+
+def checked(transport: Any, fp: Any) -> dict[str, Any]:
+    """The checks of gradients against differences and forward mode."""
+    x, _, loss, run = _chain(transport)
+    result = ti.ad.check(run, loss=loss, wrt=[x])
+    with ti.ad.Tape(loss, grad_check=[x]):
+        run()
+    return {"good": bool(result), "gradient": x.grad.to_numpy()}
+
+
+def peak(transport: Any, fp: Any, n: int = 12) -> dict[str, Any]:
+    """The gradients of a minimum and of a maximum that two ranks attain."""
+    begin(transport, fp)
+    x, y, top, low = ti.field(fp), ti.field(fp), ti.field(fp), ti.field(fp)
+    root(transport, ti.i).dense(ti.i, n).place(x, y)
+    ti.root.place(top, low)
+    ti.root.lazy_grad()
+
+    @ti.kernel
+    def square():
+        for i in x:
+            y[i] = x[i] * x[ti.max(i - 1, 0)]
+
+    @ti.kernel
+    def extremes():
+        for i in y:
+            ti.atomic_max(top[None], y[i])
+            ti.atomic_min(low[None], y[i])
+
+    first = _noise(n)
+    first[:2] = first[-2:] = 1.5
+    x.from_numpy(first)
+    found = {}
+    for name, loss in (("top", top), ("low", low)):
+        top[None] = low[None] = 0
+        with ti.ad.Tape(loss):
+            square()
+            extremes()
+        found |= {name: loss[None], f"{name} gradient": x.grad.to_numpy()}
+    return found
+
+
+def host(transport: Any, fp: Any, n: int = 12) -> dict[str, Any]:
+    """Copies, fills, prints and pickles, in a tape as well."""
+    begin(transport, fp)
+    x, y, v, loss = ti.field(fp), ti.field(fp), ti.Vector.field(2, fp), ti.field(fp)
+    rows = root(transport, ti.i)
+    for field in (x, y, v):
+        rows.dense(ti.i, n).place(field)
+    ti.root.place(loss)
+    ti.root.lazy_grad()
+
+    @ti.kernel
+    def measure():
+        for i in range(1, n):
+            loss[None] += y[i] * y[i - 1] * v[i - 1][1]
+
+    x.from_numpy(_noise(n))
+    v.fill(2)
+    v[n - 1] = [1, 3]
+    v.get_scalar_field(1).fill(0.5)
+    found = {}
+    with ti.ad.Tape(loss):
+        y.copy_from(x)
+        measure()
+    found["copied"] = x.grad.to_numpy()
+    y.fill(3)
+    with ti.ad.Tape(loss):
+        y.from_numpy(_noise(n)[::-1].copy())
+        measure()
+    found |= {"loss": loss[None], "v": v.to_numpy(), "gradient": v.grad.to_numpy()}
+    found |= {"text": len(str(y)), "pickled": pickle.loads(pickle.dumps(v)).to_numpy()}
+    found |= {"element": np.array(v[n - 1]), "array": np.array(x.to_numpy(ti.f32))}
+    return found
+
+
+def fixed(transport: Any, threads: int, n: int) -> dict[str, bytes]:
+    """The bits of sums and gradients in deterministic mode."""
+    begin(transport, ti.f32, deterministic=True, cpu_max_num_threads=threads)
+    x, y, c, loss = (ti.field(ti.f32) for _ in range(4))
+    for field in (x, y):
+        root(transport, ti.i).dense(ti.ij, (n, 7)).place(field)
+    ti.root.place(c, loss)
+    ti.root.lazy_grad()
+
+    @ti.kernel
+    def scale():
+        for i, j in x:
+            y[i, j] = c[None] * x[ti.max(i - 1, 0), j] + x[i, j]
+
+    @ti.kernel
+    def measure():
+        for i, j in y:
+            loss[None] += y[i, j] * y[i, j] * 0.37
+
+    x.from_numpy(_noise(n, 7).astype(np.float32))
+    c[None] = 0.7
+    with ti.ad.Tape(loss):
+        scale()
+        measure()
+    found = {"y": y, "x gradient": x.grad, "c gradient": c.grad, "loss": loss}
+    return {name: field.to_numpy().tobytes() for name, field in found.items()}
+
+
+def reuse(transport: Any, fp: Any, n: int = 12) -> dict[str, Any]:
+    """Loops that read the same halos: with the exchanges that each launch makes."""
+    begin(transport, ti.f64)
+    x, y, z = ti.field(ti.f64), ti.field(ti.f64), ti.field(ti.f64)
+    u, loss = ti.field(ti.f64, needs_grad=True), ti.field(ti.f64, needs_grad=True)
+    rows = root(transport, ti.i)
+    for field in (x, y, z):
+        rows.dense(ti.i, n).place(field)
+    root(transport, ti.j).dense(ti.ij, (4, n)).place(u, u.grad)
+    ti.root.place(loss, loss.grad)
+
+    @ti.kernel
+    def near(to: ti.template()):
+        for i in range(2, n - 2):
+            to[i] = x[i - 1] - x[i + 1]
+
+    @ti.kernel
+    def far():
+        for i in range(2, n - 2):
+            z[i] = x[i - 2] * x[i + 2]
+
+    @ti.kernel
+    def change():
+        for i in x:
+            x[i] += 1.0 / (i + 1)
+
+    @ti.kernel
+    def march(t: ti.i32):
+        for i in range(1, n - 1):
+            u[t, i] = u[t - 1, i - 1] + 0.5 * u[t - 1, i + 1]
+
+    @ti.kernel
+    def both(t: ti.i32):
+        for i in range(1, n):
+            loss[None] += u[t, i] * u[t - 1, i - 1]
+
+    steps = []
+
+    def note(name: str, run: Any) -> None:
+        before = ti_mesh.counts if ti_mesh else {}
+        run()
+        after = ti_mesh.counts if ti_mesh else {}
+        made = [after.get(key, 0) - before.get(key, 0) for key in ("fetch", "left out")]
+        steps.append((name, *made, y.to_numpy().tobytes() + z.to_numpy().tobytes()))
+
+    ti_mesh = mesh_of_program()
+    x.from_numpy(_noise(n))
+    note("first", lambda: near(y))
+    note("same", lambda: near(z))
+    note("wider", far)
+    note("narrower", lambda: near(y))
+    note("change", change)
+    note("changed", lambda: near(y))
+    x[n // 2] = 5
+    note("written", lambda: near(z))
+    x.fill(3)
+    note("filled", far)
+    x.from_numpy(_noise(n)[::-1].copy())
+    note("copied", far)
+    start = np.zeros((4, n))
+    start[0] = _noise(n)
+    u.from_numpy(start)
+    for _ in range(2):
+        with ti.ad.Tape(loss):
+            for t in range(1, 4):
+                march(t)
+            both(3)
+            both(3)
+    note("step", lambda: both(3))
+    note("step again", lambda: both(3))
+    note("other step", lambda: march(3))
+    return {"steps": steps, "u": u.to_numpy(), "gradient": u.grad.to_numpy()}
+
+
+def mesh_of_program() -> Any:
+    """The mesh of the program, or None."""
+    return get_program().options.mesh
+
+
+SCENES = {"wave": wave, "heat": heat, "scatter": scatter, "forward": forward, "checked": checked,
+          "peak": peak, "host": host}  # fmt: skip
 
 
 def run(transport: Any, name: str, fp: str) -> dict[str, Any]:

@@ -23,7 +23,14 @@ def Shard : Pass<"tai-shard", "::mlir::ModuleOp"> {
     - clears these rows before the loop where it adds to them, and adds them to
       the rows of their owners after it;
     - combines, after the loop, the additions, minima and maxima of all ranks to
-      a field that is not sharded.
+      a field that is not sharded;
+    - notes, after the loop, which fields it changes, so that halos that are
+      current are not fetched again.
+
+    Each rank runs all iterations, on all rows, which it gathers before, if the
+    loop adds up floats in a deterministic kernel, so that the sum has the bits
+    that it has in one process, and if it fills memory of the kernel for later
+    loops, as adjoints of minima and maxima do.
 
     Indices and addresses remain those of the whole field. Other loops, which
     all ranks run alike, and programs without a `shard` level do not change. See

@@ -190,10 +190,12 @@ LogicalResult tai::verifyShards(TreeOp tree) {
 // Exchanges
 //===----------------------------------------------------------------------===//
 
-/// True for the kinds about the halos of a sharded field.
-static bool isAboutHalos(ExchangeKind kind) {
-  return llvm::is_contained(
-      {ExchangeKind::Fetch, ExchangeKind::Clear, ExchangeKind::Collect}, kind);
+/// True for the kinds about the rows of a sharded field.
+static bool isAboutRows(ExchangeKind kind) {
+  return llvm::is_contained({ExchangeKind::Fetch, ExchangeKind::Clear,
+                             ExchangeKind::Collect, ExchangeKind::Gather,
+                             ExchangeKind::Stale},
+                            kind);
 }
 
 LogicalResult ExchangeOp::verifySymbolUses(SymbolTableCollection &symbols) {
@@ -211,7 +213,7 @@ LogicalResult ExchangeOp::verifySymbolUses(SymbolTableCollection &symbols) {
                          << sparse.getKind() << "' level";
   // (exchange_c2)
   std::optional<Sharding> sharding = getSharding(*layout);
-  if (isAboutHalos(getKind()) != sharding.has_value())
+  if (isAboutRows(getKind()) != sharding.has_value())
     return emitOpError() << "'" << stringifyExchangeKind(getKind())
                          << "' expects a field that is "
                          << (sharding ? "not " : "") << "below a 'shard' level";

@@ -59,6 +59,8 @@ class Mesh:
         name: the name of the mesh axis, for messages.
         ranks: the number of processes.
         rank: the number of this one.
+        counts: the exchanges of kernels since `ti.init`, by kind; "left out" are those whose rows
+            were there already.
     """
 
     def __init__(self, name: str, ranks: int, transport: Any = None, timeout: float = 30):
@@ -73,6 +75,9 @@ class Mesh:
         self._given = transport
         self._transport: Any = None
         self._known: set[tuple] = set()
+        # The exchanges so far, by kind.
+        self._counts: dict[str, int] = {}
+        self._left_out = 0
         # The first failure; the ranks cannot communicate after it.
         self._lost: str | None = None
 
@@ -91,6 +96,8 @@ class Mesh:
                 f"start the program by torchrun --nproc-per-node {self.ranks}",
             )
         self._known.clear()
+        self._counts.clear()
+        self._left_out = native.exchanges_left_out()
         own = f"mesh '{self.name[:64]}' of {self.ranks} ranks in tai {native.version()}"
         for rank, other in enumerate(self.texts("its start", own)):
             if own != other:
@@ -113,6 +120,11 @@ class Mesh:
     def rank(self) -> int:
         """The number of this process."""
         return int(self._transport.rank)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The exchanges of kernels since `ti.init`, by kind, and those that were left out."""
+        return {**self._counts, "left out": native.exchanges_left_out() - self._left_out}
 
     # Failures
 
@@ -167,10 +179,13 @@ class Mesh:
         plan = (kind, field, element, digest, block, before, after, rows, extents, strides)
         view = _view(address, np.dtype(_TYPES[element]), extents, strides)
         action = f"the exchange '{kind}' of field '{field}' in the launch of kernel '{kernel}'"
+        self._counts[kind] = self._counts.get(kind, 0) + 1
         if plan not in self._known:
             self._compare(plan, action, where)
             self._known.add(plan)
-        if rows >= 0:
+        if kind == "gather":
+            self.gather_rows(view, rows, field, action)
+        elif rows >= 0:
             rows_first = np.moveaxis(view, rows, 0)
             self.together(
                 action, lambda: self._exchange_rows(plan, rows_first, block, before, after)
@@ -235,13 +250,13 @@ class Mesh:
 
     # Accesses of the host
 
-    def gather_rows(self, array: np.ndarray, axis: int, field: str) -> None:
+    def gather_rows(self, array: np.ndarray, axis: int, field: str, action: str = "") -> None:
         """Fills the rows of other ranks in an array of the whole field."""
         rows = np.moveaxis(array, axis, 0)
         block = len(rows) // self.ranks
         own = np.ascontiguousarray(rows[self.rank * block : (self.rank + 1) * block])
         found = self.together(
-            f"reading all of field '{field}'", lambda: self._transport.all_gather(own)
+            action or f"reading all of field '{field}'", lambda: self._transport.all_gather(own)
         )
         for rank, other in enumerate(found):
             rows[rank * block : (rank + 1) * block] = other

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import datetime
 import os
+import sys
+import threading
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -32,8 +34,10 @@ class TorchRanks:
     """The default process group, with the store of its start."""
 
     def __init__(self, store: Any, timeout: float) -> None:
-        self._store, self._grace = store, min(GRACE, timeout / 4)
+        self._store, self._grace, self._timeout = store, min(GRACE, timeout / 4), timeout
         self.rank, self.size = dist.get_rank(), dist.get_world_size()
+        self._has_failed = False
+        threading.Thread(target=self._watch, name="tai-ranks", daemon=True).start()
 
     def swap(
         self, sends: Sequence[tuple[int, np.ndarray]], receives: Sequence[tuple[int, np.ndarray]]
@@ -69,9 +73,11 @@ class TorchRanks:
     def fail(self, text: str, ranks: Sequence[int]) -> dict[int, str]:
         """Tells the other ranks that this one gives up; returns the texts of those that do."""
         told: dict[int, str] = {}
+        self._has_failed = True
         end = time.monotonic() + self._grace
         try:
             self._store.set(f"tai/failed/{self.rank}", text)
+            self._store.set("tai/failed", text)
             while True:
                 for rank in range(self.size):
                     key = f"tai/failed/{rank}"
@@ -82,6 +88,22 @@ class TorchRanks:
                 time.sleep(0.05)
         except (RuntimeError, AttributeError):
             return told  # The process that serves the store has ended.
+
+    def _watch(self) -> None:
+        """Ends a process that hangs, after another rank has given up.
+
+        The starter of another host does not know of the failure.
+        """
+        try:
+            while not self._store.check(["tai/failed"]):
+                time.sleep(self._grace / 4)
+            text = self._store.get("tai/failed").decode()
+        except (RuntimeError, AttributeError):
+            return  # The process that serves the store has ended.
+        time.sleep(self._timeout)
+        if not self._has_failed:
+            print(f"[tai] rank {self.rank} ends: {text}", file=sys.stderr, flush=True)
+            os._exit(1)
 
 
 def connect(name: str, ranks: int, timeout: float) -> TorchRanks:

@@ -41,7 +41,10 @@ def describe(field: Any) -> tuple:
             f"field '{field.name}' cannot be copied or pickled: it lies in lists (ti.root.dynamic)",
             "to_numpy() copies its values",
         )
-    state["levels"] = [(level.kind, level.axes, level.extents) for level in path]
+    state["levels"] = [
+        (level.kind, (level.shard_axis,) if level.kind == "shard" else level.axes, level.extents)
+        for level in path
+    ]
     state["offset"], state["is_split"] = tuple(field.offset or ()), is_split(field)
     placed = {w: c for w, c in field._companions.items() if c.level is not None}
     state["companions"] = {w: None if _is_sparse(field) else c.to_numpy()
@@ -85,7 +88,10 @@ def make(state: dict[str, Any]) -> Any:
     with program.layout:
         node: Any = open_root(program)
         for kind, axes, extents in state["levels"]:
-            node = node._add(kind, axes, extents)
+            if kind != "shard":
+                node = node._add(kind, axes, extents)
+            elif program.options.mesh is not None:
+                node = node.shard(axes)
         parts = made.components if state["is_split"] else [made]
         for part in parts:
             node.place(part, offset=offset)

@@ -16,6 +16,7 @@ from ..history import origins
 from . import active, copies
 from .field import Field, index_tuple
 from .root import materialize, name_fields
+from .shard_rows import own_part, put_own
 from .snode import SNode
 
 
@@ -252,7 +253,9 @@ class ScalarField(Field):
     def from_numpy(self, array: Any) -> None:
         if state.tape is not None or state.forward:
             origins.check_write(self, array)
-        self.core.copy_from(self._check_array(array))
+        core, given = self.core, self._check_array(array)
+        if self._sharded is None or not put_own(self, own_part(self, given)):
+            core.copy_from(given)
         origins.end_tangent(self)
 
     def fill(self, value: Any) -> None:

@@ -42,15 +42,27 @@ def own_rows(field: Any) -> np.ndarray:
     return rows
 
 
+def put_own(field: Any, rows: Any) -> bool:
+    """Sets the rows of this rank, in its memory alone: those of others have no meaning here.
+
+    Returns:
+        False if this is not possible, and the whole field must be set.
+    """
+    if state.tape is not None or state.forward:
+        return False
+    memory, loan = _memory(field)
+    if memory is None:
+        return False
+    own_part(field, memory)[...] = rows
+    field.storage()[0].core.note_write()
+    del memory, loan
+    return True
+
+
 def put_rows(field: Any, rows: np.ndarray) -> None:
-    """Sets the rows of this rank. Other ranks set theirs: rows outside of them have no meaning."""
-    if state.tape is None and not state.forward:
-        memory, loan = _memory(field)
-        if memory is not None:
-            own_part(field, memory)[...] = rows
-            field.storage()[0].core.note_write()
-            del memory, loan
-            return
+    """Sets the rows of this rank, while the other ranks set theirs."""
+    if put_own(field, rows):
+        return
     whole = np.zeros(tuple(field.shape) + tuple(field.element_shape), field.dtype.numpy)
     own_part(field, whole)[...] = rows
     field.from_numpy(whole)

@@ -31,7 +31,9 @@ def TaiMesh_ExchangeKind
     I32EnumAttrCase<"Fetch", 0, "fetch">, I32EnumAttrCase<"Clear", 1, "clear">,
     I32EnumAttrCase<"Collect", 2, "collect">,
     I32EnumAttrCase<"Open", 3, "open">, I32EnumAttrCase<"Sum", 4, "sum">,
-    I32EnumAttrCase<"Min", 5, "min">, I32EnumAttrCase<"Max", 6, "max">]> {
+    I32EnumAttrCase<"Min", 5, "min">, I32EnumAttrCase<"Max", 6, "max">,
+    I32EnumAttrCase<"Gather", 7, "gather">,
+    I32EnumAttrCase<"Stale", 8, "stale">]> {
   let cppNamespace = "::mlir::tai";
   let genSpecializedAttr = 0;
 }

@@ -71,14 +71,17 @@ def TaiMesh_ExchangeOp : TaiMesh_Op<"exchange", [
     DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
   let summary = "let ranks exchange elements of a field";
   let description = [{
-    All ranks of the mesh execute this op together. The first three kinds are
+    All ranks of the mesh execute this op together. The first five kinds are
     for a field below a `shard` level. Its halos are the `before` rows in front
     of the rows of this rank, and the `after` rows behind them, as far as the
     field has such rows:
 
     - `fetch` copies the halos from the ranks that own them;
     - `clear` sets the halos to zero, in this rank's memory alone;
-    - `collect` adds the halos of all ranks to the rows of the owners.
+    - `collect` adds the halos of all ranks to the rows of the owners;
+    - `gather` copies all rows from the ranks that own them;
+    - `stale` notes that rows have changed. A `fetch` of halos that the rank has
+      fetched before, and of which no row can have changed, does nothing.
 
     The other kinds are for a field of which each rank has its own copy:
 
@@ -93,8 +96,8 @@ def TaiMesh_ExchangeOp : TaiMesh_Op<"exchange", [
     error. Created by `tai-shard`.
 
     1. (exchange_c1) `field` names a `tai.field`, without sparse levels.
-    2. (exchange_c2) The field is below a `shard` level for the first three
-       kinds, and not for the others.
+    2. (exchange_c2) The field is below a `shard` level for the first
+       five kinds, and not for the others.
     3. (exchange_c3) `before` and `after` are from 0 to the number of rows of a
        rank, and 0 for fields that are not sharded.
     4. (exchange_c4) `dims` are ascending dimensions of the field, one for each
