@@ -38,7 +38,7 @@ static constexpr size_t kFetch = 0, kClear = 1, kCollect = 2, kStale = 8;
 static bool isOfSweep(const Launch &launch) {
   if (launch.isUnrecorded.load(std::memory_order_relaxed))
     return false;
-  const Recorder *tape = launch.owner().recordingTape();
+  const Recorder *tape = launch.owner().recordings().current();
   return !tape || tape->isSuspended();
 }
 

@@ -101,7 +101,7 @@ TEST(EngineCache, SecondContextRunsNoPass) {
   EXPECT_EQ(first.run(), std::make_pair(36.0, 6.0));
   EXPECT_EQ(first.hits(), 0u);
   Program second(folder.path);
-  EXPECT_EQ(second.launcher().run(), std::make_pair(36.0, 6.0));
+  EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
   EXPECT_EQ(second.hits(), 2u);
   PhaseTimes times = second.session.getCompiler().getTotals();
   for (Phase phase : {Phase::Autodiff, Phase::Lower, Phase::Optimize})
@@ -141,7 +141,7 @@ TEST(EngineCache, DamagedEntriesAreCompiledAnew) {
   }
   testing::internal::CaptureStderr();
   Program second(folder.path);
-  EXPECT_EQ(second.launcher().run(), std::make_pair(36.0, 6.0));
+  EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
   EXPECT_EQ(second.hits(), 0u);
   std::string warned = testing::internal::GetCapturedStderr();
   // One warning, however many entries are damaged.
@@ -179,7 +179,7 @@ TEST(EngineCache, ObjectsThatDoNotLinkAreCompiledAnew) {
   auto expectAnew = [&](llvm::function_ref<void(CompiledObject &)> change) {
     replaceObjects(folder.path, change);
     Program second(folder.path);
-    EXPECT_EQ(second.launcher().run(), std::make_pair(36.0, 6.0));
+    EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
     EXPECT_EQ(second.hits(), 0u);
     // The new entry can be linked.
     Program third(folder.path);
