@@ -162,7 +162,7 @@ TaiStatus taiTapeBegin(TaiContext context, TaiField loss, bool clearGradients,
     if (status != TAI_OK)
       return status;
     *tape = context->tapes.add(std::unique_ptr<TaiTapeImpl>(
-        new TaiTapeImpl{*context, std::move(made), {}, {}, {}}));
+        new TaiTapeImpl{*context, std::move(made), {}, {}, {}, {}}));
     return TAI_OK;
   });
 }
