@@ -28,9 +28,17 @@ def test_ranks_give_values_and_gradients_of_one_process(scene, ranks, fp):
 
 
 @pytest.mark.parametrize("ranks", [2, 3, 4])
-@pytest.mark.parametrize("scene", ["forward", "checked", "peak", "host"])
+@pytest.mark.parametrize("scene", ["forward", "peak", "host"])
 def test_ranks_give_derivatives_of_one_process(scene, ranks):
     check(scene, ranks, "f64")
+
+
+def test_gradients_are_checked_on_one_process():
+    (result,) = rank_pipes.run_ranks(rank_scenes.checked, 1, ti.f64)
+    assert result == {"function": True, "tape": None}
+    for result in rank_pipes.run_ranks(rank_scenes.checked, 2, ti.f64):
+        for name in ("function", "tape"):
+            assert "gradients are checked on one process" in result[name], result
 
 
 def test_deterministic_ranks_give_the_bits_of_one_process():

@@ -334,6 +334,12 @@ class Program:
     """
 
     def __init__(self, run: Callable[[], Any], loss: Any = None, start: Snapshot | None = None):
+        mesh = get_program().options.mesh
+        if mesh is not None and mesh.ranks > 1:
+            raise TaiRuntimeError(
+                f"gradients are checked on one process, and the mesh '{mesh.name}' has {mesh.ranks}",
+                'run the check with a mesh of one: ti.init(mesh=ti.mesh("x", 1))',
+            )
         self.run, self.loss = run, loss
         self.start = start or Snapshot()
         self.core: Any = None

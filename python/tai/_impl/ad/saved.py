@@ -56,6 +56,7 @@ def export(
     with Snapshot() as before:
         with Tape(None, clear_gradients=False) as tape:
             run()
+        tape._note_reading()
         before.restore()
         losses[0].core.fill(0.0)
         tape._core.save(os.fspath(path), losses[0].core, [f.core for f in fields])

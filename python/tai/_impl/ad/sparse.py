@@ -29,7 +29,7 @@ def require_small(f: Any) -> None:
 def sparse_level(f: Any) -> Any:
     """Returns the innermost sparse level above a field, or None."""
     levels = [] if f.level is None else f.level.path()
-    return next((level for level in reversed(levels) if level.kind != "dense"), None)
+    return next((level for level in reversed(levels) if level.kind not in ("dense", "shard")), None)
 
 
 def active_elements(f: Any) -> np.ndarray:
