@@ -337,7 +337,7 @@ class Program:
         mesh = get_program().options.mesh
         if mesh is not None and mesh.ranks > 1:
             raise TaiRuntimeError(
-                f"gradients are checked on one process, and the mesh '{mesh.name}' has {mesh.ranks}",
+                f"gradients are checked on one process; mesh '{mesh.name}' has {mesh.ranks}",
                 'run the check with a mesh of one: ti.init(mesh=ti.mesh("x", 1))',
             )
         self.run, self.loss = run, loss
