@@ -120,6 +120,17 @@ def flag_structs() -> list[str]:
     ]
 
 
+def runtime_getters() -> list[str]:
+    """Getters of the runtime that begin with `get`, as those of MLIR's classes do."""
+    match = re.compile(r"\bget[A-Z]\w*\(\)\s*(?:const)?\s*[{;]")
+    return [
+        f"{name}: {found[0].rstrip('{; ')}"
+        for name, text in below("include/tai/Runtime/", "lib/Runtime/")
+        if name.endswith(".h")
+        for found in match.finditer(without_comments(text))
+    ]
+
+
 def run_lines(text: str) -> str:
     return "\n".join(line for line in text.splitlines() if "RUN:" in line)
 
@@ -166,6 +177,7 @@ BARS = [
     Rule("sources that take index arithmetic apart", index_arithmetic, bar=2, goal=3),
     Rule("sources that ask for a mode of sums", modes_of_sums, bar=5, goal=6),
     Rule("structs with more than three booleans", flag_structs, bar=0, goal=0),
+    Rule("getters of the runtime that begin with get", runtime_getters, bar=0, goal=0),
     Rule("passes without a test in the folder of their room", passes_without_test, bar=0, goal=0),
 ]
 

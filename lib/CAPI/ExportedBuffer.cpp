@@ -88,6 +88,7 @@ int taiContextIsOnDevice(TaiContext context, const void *address) {
 }
 
 int taiContextIsOnGpu(TaiContext context) {
-  const runtime::Device *device = context->session.getRuntime().getDevice();
+  const runtime::Device *device =
+      context->session.getRuntime().devices().device();
   return device && device->kind() == runtime::DeviceKind::Cuda;
 }

@@ -114,7 +114,7 @@ public:
   DeviceLock(TaiContextImpl &context,
              const mlir::tai::runtime::Runtime &runtime)
       : lock(context.mutex, std::defer_lock) {
-    if (LLVM_UNLIKELY(runtime.getDevice() != nullptr))
+    if (LLVM_UNLIKELY(runtime.devices().device() != nullptr))
       mlir::tai::runtime::safepoint::lock(lock);
   }
 

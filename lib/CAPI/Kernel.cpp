@@ -103,7 +103,7 @@ TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
   TaiContextImpl &context = kernel->context;
   // The kernel is compiled before the context is locked: compilation takes
   // long, and other threads may go on meanwhile.
-  if (LLVM_UNLIKELY(kernel->runtime.getDevice() != nullptr) &&
+  if (LLVM_UNLIKELY(kernel->runtime.devices().device() != nullptr) &&
       !kernel->launched.resolved())
     if (TaiStatus status = resolve(*kernel); status != TAI_OK)
       return status;

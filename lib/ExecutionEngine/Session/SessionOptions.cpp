@@ -56,7 +56,7 @@ void Session::useCache(StringRef folder) {
 void Session::keepChoices(runtime::KeptChoices kept) {
   keptChoices = std::move(kept);
   rt->launcher().onDevice().keepBlockSizes(keptChoices);
-  if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
+  if (runtime::DeviceQueue *queue = rt->devices().queue())
     queue->keepChoices(keptChoices);
 }
 
@@ -223,7 +223,7 @@ LogicalResult Session::setShadow(bool on) {
   wanted.shadow = on;
   if (std::string problem = wanted.findContradiction(); !problem.empty())
     return fail(FailureKind::Usage, problem);
-  if (on && (rt->getDevice() || compileOptions.interpret))
+  if (on && (rt->devices().device() || compileOptions.interpret))
     return fail(FailureKind::Usage,
                 "option 'shadow' is for compiled kernels on the CPU, and this "
                 "context runs them elsewhere; choose arch cpu");
@@ -336,14 +336,14 @@ LogicalResult Session::setArch(StringRef name) {
   compileOptions.interpret = name == "interpreter";
   compileOptions.device = std::nullopt;
   compileOptions.deviceTarget.clear();
-  if (const runtime::Device *used = rt->getDevice()) {
+  if (const runtime::Device *used = rt->devices().device()) {
     compileOptions.device = used->kind();
     compileOptions.deviceTarget = used->target();
     compileOptions.places = rt->wantsPlaces();
   }
-  compiler->setAssembler(rt->getDevice() ? rt->getDevice()->assembler()
-                                         : nullptr);
-  if (runtime::DeviceQueue *queue = rt->getDeviceQueue()) {
+  compiler->setAssembler(
+      rt->devices().device() ? rt->devices().device()->assembler() : nullptr);
+  if (runtime::DeviceQueue *queue = rt->devices().queue()) {
     queue->setProgramMaker(
         [this](const runtime::ProgramPlan &plan, runtime::DeviceImage &image) {
           Failure problem;
@@ -365,7 +365,7 @@ LogicalResult Session::setArch(StringRef name) {
 LogicalResult Session::setFuseLaunches(bool on) {
   fuseLaunches = on;
   rt->launcher().setFuse(on);
-  if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
+  if (runtime::DeviceQueue *queue = rt->devices().queue())
     queue->setMode(on ? runtime::ProgramMode::Automatic
                       : runtime::ProgramMode::Launches);
   return success();

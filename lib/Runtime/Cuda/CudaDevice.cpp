@@ -21,7 +21,7 @@ using namespace mlir::tai::runtime::cuda;
 
 thread_local uint64_t CudaDevice::enteredLast = 0;
 
-uint64_t CudaDevice::getNextIdentity() {
+uint64_t CudaDevice::nextIdentity() {
   static std::atomic<uint64_t> last{0};
   return ++last;
 }

@@ -143,8 +143,8 @@ private:
   /// The identity of the device that this thread entered last. Addresses do not
   /// identify devices: a new device can have the address of an old one.
   static thread_local uint64_t enteredLast;
-  const uint64_t identity = getNextIdentity();
-  static uint64_t getNextIdentity();
+  const uint64_t identity = nextIdentity();
+  static uint64_t nextIdentity();
   Status allocateOnce(int64_t bytes, Address &address);
   Status setHeap(size_t memoryBytes);
   /// Makes work that is queued later in the stream `second` wait for the work

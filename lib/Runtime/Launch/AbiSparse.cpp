@@ -26,7 +26,7 @@ static Mirror *mirrorOf(const Launch &launch, const void *tree) {
 
 static SparseNode &nodeOf(const Launch &launch, void *tree, int32_t node) {
   if (Mirror *mirror = mirrorOf(launch, tree))
-    return *mirror->getTree().sparseNodes()[node];
+    return *mirror->mirrored().sparseNodes()[node];
   return nodeOf(tree, node);
 }
 
@@ -124,7 +124,7 @@ static int64_t give(Launch &launch, const std::vector<int64_t> &list,
 /// find them.
 static int64_t giveOnDevice(Launch &launch, Mirror &mirror, int32_t node,
                             const int64_t **cells) {
-  SparseNode &sparse = *mirror.getTree().sparseNodes()[node];
+  SparseNode &sparse = *mirror.mirrored().sparseNodes()[node];
   *cells = nullptr;
   DeviceCellsPtr there;
   Status status;

@@ -103,7 +103,7 @@ void DeviceProgram::addWay(ProgramMode mode, const LaunchShape &shape) {
 
 void DeviceProgram::listWays(ProgramMode wanted) {
   DeviceLimits limits = device.limits();
-  unsigned width = sequence.getWidth();
+  unsigned width = sequence.width();
   auto add = [&](ProgramMode mode, unsigned blocks, unsigned threads) {
     if (wanted != ProgramMode::Automatic && wanted != mode)
       return;
@@ -152,7 +152,7 @@ void DeviceProgram::listWays(ProgramMode wanted) {
       add(ProgramMode::Grid, blocks, threads);
     }
     if (schedules->hasTiles()) {
-      LaunchShape tiles = schedules->getTileShape();
+      LaunchShape tiles = schedules->tileShape();
       add(ProgramMode::Tiles, tiles.blocks,
           std::min(most, std::clamp(warps(tiles.threads), 128u, 512u)));
     }

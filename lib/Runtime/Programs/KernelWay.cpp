@@ -43,7 +43,7 @@ Status KernelWay::plan(ProgramPlan &plan) {
   planned = ProgramLoops(steps, usesLoops);
   if (!planned.isComplete())
     return Status::failure(StatusCode::Internal, "there are too many chains");
-  plan.segments = planned.getSegments();
+  plan.segments = planned.allSegments();
   plan.words = planned.numWords();
   plan.scope = scopeOf(mode, device.kind());
   plan.threads = shape.threads;
@@ -179,7 +179,7 @@ Status KernelWay::runSteps(StepRunner &runner) {
     status = runner.finish();
   if (!status)
     return status;
-  std::vector<uint64_t> slots = {table + headerBytes, loops.getStride(), table};
+  std::vector<uint64_t> slots = {table + headerBytes, loops.rowWords(), table};
   slots.insert(slots.end(), words.begin(), words.end());
   return device.launch(*function, shape, slots.data(),
                        static_cast<int>(slots.size()));

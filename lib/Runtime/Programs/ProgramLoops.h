@@ -43,12 +43,12 @@ public:
   /// True if all steps fit; false if there are too many tile chains, which
   /// cannot be rows of a table.
   bool isComplete() const { return fits; }
-  const std::vector<ProgramSegment> &getSegments() const { return segments; }
+  const std::vector<ProgramSegment> &allSegments() const { return segments; }
   /// The number of words of loop parameters.
   size_t numWords() const { return origins.size(); }
   size_t numLoopSteps() const;
   /// The number of words in a row of the step table.
-  size_t getStride() const { return stride; }
+  size_t rowWords() const { return stride; }
 
   /// Makes parameters and table for steps of the same structure as those of the
   /// constructor. False if they do not fit, because parameters vary differently

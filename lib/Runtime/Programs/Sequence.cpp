@@ -117,7 +117,7 @@ StepMemory Sequence::memoryOf(const Step &step) const {
   return memory;
 }
 
-unsigned Sequence::getWidth() const {
+unsigned Sequence::width() const {
   uint64_t width = 1;
   for (const Step &step : steps)
     width = std::max(width, uint64_t(step.shape.blocks) * step.shape.threads);

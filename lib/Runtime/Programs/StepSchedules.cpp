@@ -153,7 +153,7 @@ void StepSchedules::makeTiled(const std::vector<StepMemory> &memory) {
     tiled = Schedule();
 }
 
-LaunchShape StepSchedules::getTileShape() const {
+LaunchShape StepSchedules::tileShape() const {
   int64_t blocks = 1, cells = 1;
   for (const Unit &unit : tiled.units)
     if (unit.chain >= 0) {

@@ -55,7 +55,7 @@ public:
   }
   /// The launch shape for tiles: a block for each tile, and a thread for each
   /// cell of a tile.
-  LaunchShape getTileShape() const;
+  LaunchShape tileShape() const;
   /// The number of steps that run separately before the program.
   size_t countBefore() const { return numBefore; }
   /// The number of steps whose memory accesses are not known.

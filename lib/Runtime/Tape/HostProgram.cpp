@@ -103,7 +103,7 @@ static int32_t reportUsage(Launch &launch, std::string message,
 /// trees directly, so they are made current on the host before.
 static int32_t returnTo(Launch &launch, Status status) {
   launch.owner().settleZeros(fieldsIn(*launch.host->trees));
-  if (launch.owner().getDevice() && launch.host->module->usesTrees)
+  if (launch.owner().devices().device() && launch.host->module->usesTrees)
     for (const TreePtr &tree : *launch.host->trees)
       (void)tree->writable();
   return report(launch, std::move(status));

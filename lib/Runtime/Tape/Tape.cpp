@@ -96,7 +96,7 @@ namespace {
 class CollectedWork {
 public:
   explicit CollectedWork(Runtime &runtime, bool isReplay = false)
-      : device(runtime.getDeviceContext()) {
+      : device(runtime.devices().get()) {
     if (device)
       device->beginCollecting(isReplay);
   }
@@ -377,7 +377,7 @@ const std::string &Tape::explain() {
     tape.report.addDirect(tape.plan.replayed().size(), "adjoints");
   tape.report.addZeroAdjoints();
   // Reports the ways in which a device runs the sequences of launches.
-  if (const DeviceQueue *queue = tape.services.owner().getDeviceQueue())
+  if (const DeviceQueue *queue = tape.services.owner().devices().queue())
     tape.report.add(queue->explain());
   return tape.report.get();
 }

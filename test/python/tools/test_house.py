@@ -87,6 +87,17 @@ PASS = 'def Fold : Pass<"tai-fold"> {'
 SOURCE = "struct Fold : tai::impl::FoldBase<Fold> {"
 
 
+def test_getters_of_the_runtime_have_plain_names(monkeypatch):
+    found = counted(
+        monkeypatch,
+        house.runtime_getters,
+        lib__Runtime__A_dot_h="Tree &getTree() const { return tree; } // getMore() {",
+        lib__Runtime__B_dot_h="size_t size() const; int getRow(int row) const;",
+        include__tai__AD__C_dot_h="Type getType() const;",
+    )
+    assert found == ["lib/Runtime/A.h: getTree() const"]
+
+
 def test_a_pass_wants_a_test_in_the_folder_of_its_source(monkeypatch):
     def missing(**tests):
         return counted(

@@ -147,9 +147,6 @@ public:
     deviceHost.use(std::move(device), memoryLimit);
     return Status::success();
   }
-  Device *getDevice() const { return deviceHost.device(); }
-  DeviceQueue *getDeviceQueue() const { return deviceHost.queue(); }
-  DeviceContext *getDeviceContext() const { return deviceHost.get(); }
   Status synchronize() { return deviceHost.synchronize(); }
   /// hasNotedFailure: true if a device call that could not return its failure
   /// has failed since the last takeFailure(), which returns the failure.

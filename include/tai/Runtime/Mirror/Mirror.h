@@ -37,7 +37,7 @@ public:
   const std::shared_ptr<DeviceContext> &sharedContext() const {
     return deviceContext;
   }
-  Tree &getTree() const { return tree; }
+  Tree &mirrored() const { return tree; }
   /// The part of the mirror for sparse levels of the tree; null for a tree
   /// without them.
   SparseMirror *sparse() const { return sparseTree.get(); }

@@ -80,7 +80,6 @@ public:
     return state.isShownBy(cells);
   }
 
-  DeviceContext &getContext() const { return context; }
   /// The cell mover of a field, shared by fields of the same place.
   std::shared_ptr<CellMover> &moverOf(const Field &field);
 

@@ -123,7 +123,7 @@ struct Sequence {
   Status run(Device &device, const Step &step) const;
   StepMemory memoryOf(const Step &step) const;
   /// The maximum number of threads that a step of the sequence uses.
-  unsigned getWidth() const;
+  unsigned width() const;
   /// The number of launches at the start of the sequence, before the first step
   /// of another kind.
   size_t countFirstLaunches() const;

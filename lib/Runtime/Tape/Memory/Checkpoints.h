@@ -36,7 +36,7 @@ public:
   Checkpoints(Runtime &runtime, CheckpointPolicy policy)
       : runtime(runtime), policy(policy) {}
 
-  const CheckpointPolicy &getPolicy() const { return policy; }
+  const CheckpointPolicy &chosenPolicy() const { return policy; }
 
   /// Drops all snapshots, before the sequence runs from its start.
   void restart();

@@ -69,7 +69,7 @@ public:
   bool find(const TapeRecording &recording, const PlanInputs &inputs,
             PlanResults &results) const;
 
-  const TapeRecording::Launches &getLaunches() const { return launches; }
+  const TapeRecording::Launches &recorded() const { return launches; }
 
 private:
   TapeRecording::Launches launches;

@@ -42,7 +42,7 @@ Status Tape::begin(Runtime &runtime, FieldPtr loss, bool clears,
     return Status::failure(StatusCode::Usage,
                            "a tape is being recorded already, and tapes do not "
                            "nest");
-  DeviceContext *device = runtime.getDeviceContext();
+  DeviceContext *device = runtime.devices().get();
   TapeServices services(runtime);
   // A device recognises a repeated recording by the launches that it queues, so
   // launches of two recording threads must not mix.
@@ -55,7 +55,7 @@ Status Tape::begin(Runtime &runtime, FieldPtr loss, bool clears,
   // had, since an iteration of an optimiser usually records as many as the one
   // before.
   if (std::shared_ptr<const KnownPlan> last = services.knownPlan())
-    made->parts->recording.reserve(last->getLaunches());
+    made->parts->recording.reserve(last->recorded());
   // From here on, the tape holds the fields that it uses.
   Status held = made->parts->holds.hold();
   if (!held)
@@ -105,7 +105,7 @@ void Tape::end(bool isSwept) {
   parts->services.endRecording(*this);
   parts->topology.end();
   parts->changes.begin(parts->memory);
-  if (DeviceContext *device = parts->services.owner().getDeviceContext())
+  if (DeviceContext *device = parts->services.owner().devices().get())
     device->endRecording(isSwept);
   if (!isSwept)
     releaseFields();

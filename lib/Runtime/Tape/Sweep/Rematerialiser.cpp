@@ -111,7 +111,7 @@ Status Rematerialiser::reverseSaving(Launch &launch, size_t from, size_t to) {
 }
 
 int64_t Rematerialiser::freeSnapshots() const {
-  const CheckpointPolicy &policy = checkpoints->getPolicy();
+  const CheckpointPolicy &policy = checkpoints->chosenPolicy();
   if (policy.budget > 0)
     return (policy.budget - checkpoints->bytes() - checkpoints->growth()) /
                std::max<int64_t>(checkpoints->snapshotBytes(), 1) -
@@ -120,7 +120,7 @@ int64_t Rematerialiser::freeSnapshots() const {
 }
 
 bool Rematerialiser::isShort(size_t from, size_t to) const {
-  const CheckpointPolicy &policy = checkpoints->getPolicy();
+  const CheckpointPolicy &policy = checkpoints->chosenPolicy();
   if (to - from == 1 || policy.kind == CheckpointPolicy::Kind::Periodic)
     return true;
   if (policy.kind != CheckpointPolicy::Kind::Mixed)
@@ -274,7 +274,7 @@ Status Rematerialiser::recomputeAll(Launch &launch) {
 /// Reverses the records between adjacent snapshots, from last to first.
 Status Rematerialiser::reverseAll(Launch &launch) {
   int64_t kept =
-      checkpoints->getPolicy().kind == CheckpointPolicy::Kind::Binomial
+      checkpoints->chosenPolicy().kind == CheckpointPolicy::Kind::Binomial
           ? bestSnapshots()
           : checkpoints->count();
   Status status;

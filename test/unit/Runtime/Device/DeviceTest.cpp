@@ -286,7 +286,7 @@ TEST_F(RuntimeDevice, CopiesArraysOfTheCaller) {
   EXPECT_EQ(array[9], 0.25);
   EXPECT_OK(launch(*kernel, {reinterpret_cast<uint64_t>(array.data()), 1}));
   EXPECT_EQ(array[9], 10.25);
-  EXPECT_EQ(runtime.getDevice()->allocatedBytes(), 0);
+  EXPECT_EQ(runtime.devices().device()->allocatedBytes(), 0);
 }
 
 TEST_F(RuntimeDevice, SaysWhatFailedWhenItWaits) {
@@ -365,7 +365,7 @@ static void checkTape(Runtime &runtime, const FieldPtr &x,
     info.summary.push_back({beside, AccessKind::Read});
   }
   KernelPtr kernel = runtime.launcher().kernels().create(std::move(info));
-  int64_t before = runtime.getDevice()->allocatedBytes();
+  int64_t before = runtime.devices().device()->allocatedBytes();
   {
     std::unique_ptr<Tape> tape;
     ASSERT_OK(runtime.beginTape(loss, true, tape));
@@ -384,7 +384,7 @@ static void checkTape(Runtime &runtime, const FieldPtr &x,
     EXPECT_EQ(get(*x->adjoint(), {0}), get(*loss));
   }
   // Only the loss and the adjoint of x remain, no memory of the tape.
-  EXPECT_EQ(runtime.getDevice()->allocatedBytes(),
+  EXPECT_EQ(runtime.devices().device()->allocatedBytes(),
             before + int64_t(sizeof(double)) * (1 + 10));
 }
 
@@ -423,9 +423,9 @@ TEST_F(RuntimeDevice, ForgetsDestroyedTrees) {
   FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {100});
   KernelPtr kernel = addIndexKernel(x);
   EXPECT_OK(launch(*kernel, {100}));
-  EXPECT_EQ(runtime.getDevice()->allocatedBytes(), 800);
+  EXPECT_EQ(runtime.devices().device()->allocatedBytes(), 800);
   EXPECT_OK(runtime.destroyTree("x_tree"));
-  EXPECT_EQ(runtime.getDevice()->allocatedBytes(), 0);
+  EXPECT_EQ(runtime.devices().device()->allocatedBytes(), 0);
   EXPECT_EQ(launch(*kernel, {100}).message(),
             "kernel 'add_index' uses tree 'x_tree', which has been destroyed");
 }

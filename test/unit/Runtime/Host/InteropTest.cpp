@@ -104,9 +104,9 @@ TEST(RuntimeInterop, PutsStreamsInOrder) {
     EXPECT_EQ(there[8], 4.5);
     EXPECT_OK(runtime.destroyTree("x_tree"));
     EXPECT_EQ(there[7], 3.5);
-    EXPECT_GE(runtime.getDevice()->allocatedBytes(), 800);
+    EXPECT_GE(runtime.devices().device()->allocatedBytes(), 800);
     exported.buffer.reset();
-    EXPECT_LT(runtime.getDevice()->allocatedBytes(), 800);
+    EXPECT_LT(runtime.devices().device()->allocatedBytes(), 800);
   }
   unsetenv("TAI_CUDA_DRIVER");
   unsetenv("TAI_FAKE_CUDA");

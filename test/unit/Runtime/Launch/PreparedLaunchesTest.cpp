@@ -482,7 +482,7 @@ TEST_F(RuntimePreparedCuda, SeesWhatTheHostWrites) {
 }
 
 TEST_F(RuntimePreparedCuda, IsCollectedWithASequence) {
-  DeviceQueue &queue = *runtime->getDeviceQueue();
+  DeviceQueue &queue = *runtime->devices().queue();
   queue.beginCollecting();
   EXPECT_EQ(countCalls([&] { EXPECT_OK(scale(2.0)); }), 0);
   EXPECT_EQ(countCalls([&] { EXPECT_OK(queue.endCollecting()); }), 1);

@@ -48,7 +48,7 @@ std::vector<std::vector<uint64_t>> play(const ProgramLoops &loops,
     return result;
   const uint64_t *row = table.data();
   size_t next = 0;
-  for (const ProgramSegment &segment : loops.getSegments()) {
+  for (const ProgramSegment &segment : loops.allSegments()) {
     EXPECT_EQ(segment.first, next);
     next += segment.count * (segment.isLoop() ? segment.steps.size() : 1);
     for (size_t turn = 0; turn < segment.count; ++turn) {
@@ -57,7 +57,7 @@ std::vector<std::vector<uint64_t>> play(const ProgramLoops &loops,
         result.push_back(
             {row[0] & (TAI_PART_APART - 1), (row[0] & TAI_PART_APART) == 0});
         result.back().insert(result.back().end(), row + 1, row + 1 + numSlots);
-        row += loops.getStride();
+        row += loops.rowWords();
         continue;
       }
       const uint64_t *list =
@@ -98,9 +98,9 @@ TEST(ProgramLoops, StepsThatRepeatBecomeALoop) {
     steps.add(2, {64, i * i});
   }
   ProgramLoops loops(steps.steps, true);
-  ASSERT_EQ(loops.getSegments().size(), 2u);
-  EXPECT_FALSE(loops.getSegments()[0].isLoop());
-  const ProgramSegment &loop = loops.getSegments()[1];
+  ASSERT_EQ(loops.allSegments().size(), 2u);
+  EXPECT_FALSE(loops.allSegments()[0].isLoop());
+  const ProgramSegment &loop = loops.allSegments()[1];
   ASSERT_TRUE(loop.isLoop());
   EXPECT_EQ(loop.count, 10u);
   EXPECT_EQ(loop.listWidth, 1u);
