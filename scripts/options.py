@@ -26,7 +26,7 @@ BEGIN, END = "<!-- table: begin (scripts/options.py --fix) -->\n", "<!-- table: 
 
 STRINGS = r'((?:"(?:[^"\\]|\\.)*"\s*)+)'
 ROW = re.compile(
-    rf"^TAI_OPTION\({STRINGS},\s*(\w+),\s*{STRINGS},\s*{STRINGS},\s*{STRINGS},\s*\w+\(\w+\)\)",
+    rf"^TAI_OPTION\({STRINGS},\s*(\w+),\s*{STRINGS},\s*{STRINGS},\s*{STRINGS},\s*\w+\((?:\w+\(\)\.)?\w+\)\)",
     re.M,
 )
 

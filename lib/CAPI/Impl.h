@@ -111,8 +111,7 @@ private:
 /// may wait for another thread's work.
 class DeviceLock {
 public:
-  DeviceLock(TaiContextImpl &context,
-             const mlir::tai::runtime::Runtime &runtime)
+  DeviceLock(TaiContextImpl &context, mlir::tai::runtime::Runtime &runtime)
       : lock(context.mutex, std::defer_lock) {
     if (LLVM_UNLIKELY(runtime.devices().device() != nullptr))
       mlir::tai::runtime::safepoint::lock(lock);
@@ -157,7 +156,7 @@ void callQuietly(TaiContextImpl &context, const Body &body) noexcept {
 /// lock.
 template <typename Body>
 TaiStatus callInParallel(TaiContextImpl &context,
-                         const mlir::tai::runtime::Runtime &runtime,
+                         mlir::tai::runtime::Runtime &runtime,
                          const Body &body) noexcept {
   try {
     DeviceLock lock(context, runtime);

@@ -145,17 +145,36 @@ def SkipZeroBlocks : Pass<"tai-skip-zero-blocks", "::mlir::ModuleOp"> {
     iteration stay as they are.
 
     ```mlir
-    scf.for %i = %lo to %hi step %c1 {
-      %g = llvm.load %gy_i {tai.adjoint_access}
-      // gx[i] += %g * ...
+    scf.for %i = %lo to %hi step %c1 : i64 {
+      %p = llvm.getelementptr %gy[%i] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %g = llvm.load %p {tai.adjoint_access} : !llvm.ptr -> f32
+      %q = llvm.getelementptr %gx[%i] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %old = llvm.load %q {tai.adjoint_access} : !llvm.ptr -> f32
+      %term = arith.mulf %g, %slope : f32
+      %new = arith.addf %old, %term : f32
+      llvm.store %new, %q {tai.adjoint_access} : f32, !llvm.ptr
     }
     // becomes
-    scf.for %b = %lo to %hi step %c128 {
-      %end = arith.minsi ... // %b + 128, or %hi
-      %any = ... // a load of gy in [%b, %end) is not zero
+    scf.for %b = %lo to %hi step %c128 : i64 {
+      %next = arith.addi %b, %c128 : i64
+      %end = arith.minsi %next, %hi : i64
+      %any = scf.for %k = %b to %end step %c1 iter_args(%found = %false) -> (i1) : i64 {
+        %r = llvm.getelementptr %gy[%k] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+        %tested = llvm.load %r : !llvm.ptr -> f32
+        %bits = arith.bitcast %tested : f32 to i32
+        %is = arith.cmpi ne, %bits, %c0 : i32
+        %or = arith.ori %found, %is : i1
+        scf.yield %or : i1
+      }
       scf.if %any {
-        scf.for %i = %b to %end step %c1 {
-          // gx[i] += %g * ...
+        scf.for %i = %b to %end step %c1 : i64 {
+          %p = llvm.getelementptr %gy[%i] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+          %g = llvm.load %p {tai.adjoint_access} : !llvm.ptr -> f32
+          %q = llvm.getelementptr %gx[%i] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+          %old = llvm.load %q {tai.adjoint_access} : !llvm.ptr -> f32
+          %term = arith.mulf %g, %slope : f32
+          %new = arith.addf %old, %term : f32
+          llvm.store %new, %q {tai.adjoint_access} : f32, !llvm.ptr
         }
       }
     }
