@@ -21,4 +21,4 @@ def test_program(number, tmp_path):
 
 
 def test_there_are_programs():
-    assert len(PROGRAMS) == 4
+    assert len(PROGRAMS) == 5

@@ -213,12 +213,14 @@ def test_race(fields):
 def test_read_before_the_sum_is_done():
     ti.init(arch=ti.cpu, offline_cache=False, cpu_max_num_threads=1)
     f = Fields()
+    shift = ti.field(ti.i32, shape=())  # A constant would tell the compiler that they meet.
+    shift[None] = 1
 
     @ti.kernel
     def early():
         for i in f.x:
             f.y[i % 3] += f.x[i]
-            f.loss[None] += f.y[(i + 1) % 3]
+            f.loss[None] += f.y[(i + shift[None]) % 3]
 
     error = violations(f.loss, early)
     messages = {v.message for v in error.violations}

@@ -303,7 +303,7 @@ def test_arrays_of_the_caller():
 
 
 def test_what_stays_on_one_thread():
-    """Loops with trip counts that differ, and loops that read the field they add to."""
+    """Loops with trip counts that differ, and serial loops that read the field they add to."""
     n, cells = 50, 4
 
     def make():
@@ -318,6 +318,7 @@ def test_what_stays_on_one_thread():
 
         @ti.kernel
         def reads():
+            ti.loop_config(serialize=True)
             for i in range(n):
                 y[i % cells] += 1.0 + 0.01 * y[(i + 1) % cells]
 
