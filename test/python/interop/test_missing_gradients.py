@@ -1,4 +1,4 @@
-"""The gradient of a `ti.ndarray` that has none is None: what a program says that uses it."""
+"""Errors of programs that use the gradient of a `ti.ndarray` without one, which is None."""
 
 import numpy as np
 import pytest

@@ -10,7 +10,7 @@ import pytest
 import tai
 
 ROOT = Path(__file__).resolve().parents[3]
-# Of the checkout, or of a wheel that is tested.
+# The package stands in the checkout, or in the installation of a wheel that is tested.
 PACKAGE = Path(tai.__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "ensemble.py"
 

@@ -23,7 +23,7 @@ import rows as table
 import solve_to
 
 ROOT = Path(__file__).resolve().parents[3]
-# Of the checkout, or of a wheel that is tested.
+# The package stands in the checkout, or in the installation of a wheel that is tested.
 PACKAGE = Path(tai.__file__).resolve().parents[1]
 FOLDER = ROOT / "benchmarks" / "error"
 SECONDS = 200

@@ -18,7 +18,7 @@ import tai
 import needed
 
 ROOT = Path(__file__).resolve().parents[3]
-# Of the checkout, or of a wheel that is tested.
+# The package stands in the checkout, or in the installation of a wheel that is tested.
 PACKAGE = Path(tai.__file__).resolve().parents[1]
 SCRIPTS = sorted((ROOT / "test/reliability").glob("r[0-9]*_*.py"))
 BARS = [path for path in SCRIPTS if "Bar(" in path.read_text()]
