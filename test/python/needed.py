@@ -1,8 +1,13 @@
-"""Programs that some tests run, and that a machine with a wheel alone may not have."""
+"""Programs and folders that tests need; a machine with a wheel alone may lack or move them."""
 
 import shutil
+from pathlib import Path
 
 import pytest
+import tai
+
+# The folder of the package: the checkout's, or that of an installed wheel that is tested.
+PACKAGE = Path(tai.__file__).resolve().parents[1]
 
 
 def program(*names: str) -> str:

@@ -67,8 +67,10 @@ Value emitWhere(OpBuilder &builder, Operation *op, Value condition,
 class AccessLowering {
 public:
   AccessLowering(FunctionOpInterface function, FieldTable &fields,
-                 AccessGroups &groups, bool boundsCheck, bool onDevice)
-      : function(function), fields(fields), groups(groups),
+                 AccessGroups &groups,
+                 const llvm::DenseSet<Attribute> &adjoints, bool boundsCheck,
+                 bool onDevice)
+      : function(function), fields(fields), groups(groups), adjoints(adjoints),
         boundsCheck(boundsCheck), onDevice(onDevice) {}
 
   /// Looks up the field that a field access names.
@@ -79,6 +81,11 @@ public:
     AliasScopes scopes = fields.getScopes(field);
     scopes.groups = groups.get(op);
     return scopes;
+  }
+  /// True if later passes are to know that the op accesses the adjoint of a
+  /// field.
+  bool marksAdjoint(Operation *op) const {
+    return !onDevice && adjoints.contains(getNamedField(op).getAttr());
   }
   AliasScopes getArrayScopes(Operation *op) {
     AliasScopes scopes = fields.getArrayScopes();
@@ -122,6 +129,8 @@ private:
   FunctionOpInterface function;
   FieldTable &fields;
   AccessGroups &groups;
+  /// The names of the fields that are adjoints of others.
+  const llvm::DenseSet<Attribute> &adjoints;
   bool boundsCheck, onDevice;
   llvm::DenseMap<const FieldInfo *, Value> bases;
   llvm::DenseMap<Operation *, Value> trees;

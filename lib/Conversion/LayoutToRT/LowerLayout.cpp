@@ -154,7 +154,12 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
               : emitPointer(
                     b, loc, getStorageType(type), base,
                     emitElementOffset(b, loc, field, zeroBased, components));
-      return emitAccess(b, op, pointer, scopes);
+      Value result = emitAccess(b, op, pointer, scopes);
+      if (lowering.marksAdjoint(op))
+        for (Operation *user : pointer.getUsers())
+          if (isa<LLVM::AliasAnalysisOpInterface>(user))
+            user->setAttr(kAdjointAccess, rewriter.getUnitAttr());
+      return result;
     };
     // Reads need no test of activity: the memory of inactive cells is zero.
     bool asks = !field.sparse.empty() && !isa<LoadOp>(op) &&
@@ -473,33 +478,13 @@ static LogicalResult lowerAccesses(FunctionOpInterface function,
                  succeeded(lowerEach(arrays, lowerings)));
 }
 
-/// Collects the names that FieldTable gives the alias scopes of adjoints.
+/// Collects the names of the fields that are adjoints of others.
 static DenseSet<Attribute> collectAdjoints(Operation *table) {
-  SymbolTable symbols(table);
   DenseSet<Attribute> names;
-  for (FieldOp field : table->getRegion(0).getOps<FieldOp>()) {
-    FlatSymbolRefAttr name = field.getAdjointAttr();
-    auto adjoint = name ? symbols.lookup<FieldOp>(name.getAttr()) : FieldOp();
-    if (adjoint)
-      names.insert(StringAttr::get(
-          table->getContext(), adjoint.getTree() + "." + adjoint.getPlace()));
-  }
+  for (FieldOp field : table->getRegion(0).getOps<FieldOp>())
+    if (FlatSymbolRefAttr adjoint = field.getAdjointAttr())
+      names.insert(adjoint.getAttr());
   return names;
-}
-
-/// Marks the accesses in `function` to adjoints of fields.
-static void markAdjointAccesses(FunctionOpInterface function,
-                                const DenseSet<Attribute> &adjoints) {
-  if (adjoints.empty())
-    return;
-  function->walk([&](LLVM::AliasAnalysisOpInterface access) {
-    ArrayAttr own = access.getAliasScopesOrNull();
-    if (own && llvm::any_of(own.getAsRange<LLVM::AliasScopeAttr>(),
-                            [&](LLVM::AliasScopeAttr scope) {
-                              return adjoints.contains(scope.getId());
-                            }))
-      access->setAttr(kAdjointAccess, UnitAttr::get(access->getContext()));
-  });
 }
 
 namespace {
@@ -528,11 +513,10 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
       // The indices of a host program are always checked, because it has few
       // accesses, and no other check.
       bool isChecked = boundsCheck || isa<func::FuncOp>(function);
-      AccessLowering lowering(function, fields, groups, isChecked, onDevice);
+      AccessLowering lowering(function, fields, groups, adjoints, isChecked,
+                              onDevice);
       if (failed(lowerAccesses(function, fields, lowering, onDevice)))
         return WalkResult::interrupt();
-      if (!onDevice)
-        markAdjointAccesses(function, adjoints);
       return WalkResult::skip();
     });
     if (result.wasInterrupted())

@@ -28,6 +28,7 @@
 #include "tai/Analysis/Index/IndexForms.h"
 #include "tai/Analysis/IterationOrder.h"
 #include "tai/Analysis/LoopBox.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
 #include "tai/Analysis/SharedElements.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "llvm/ADT/MapVector.h"
@@ -108,6 +109,21 @@ private:
 };
 } // namespace
 
+bool tai::isTotal(DifferentiableAccessInterface access) {
+  if (auto update = dyn_cast<memref::AtomicRMWOp>(access.getOperation())) {
+    using Kind = arith::AtomicRMWKind;
+    return llvm::is_contained(
+        {Kind::addf, Kind::addi, Kind::mulf, Kind::muli, Kind::xori},
+        update.getKind());
+  }
+  auto atomic = dyn_cast<AtomicOp>(access.getOperation());
+  if (!atomic)
+    return false;
+  AtomicKind kind = getCombiningKind(atomic.getKind());
+  return kind == AtomicKind::Add || kind == AtomicKind::Mul ||
+         kind == AtomicKind::Xor;
+}
+
 void OtherIterations::find(ArrayRef<DifferentiableAccessInterface> writes,
                            ArrayRef<DifferentiableAccessInterface> reads,
                            PairFilter isKnown, PairFilter isCertain) {
@@ -133,16 +149,15 @@ void OtherIterations::find(ArrayRef<DifferentiableAccessInterface> writes,
 
 void OtherIterations::report() {
   for (auto [write, read] : certain) {
-    bool isTotal = isa<AtomicOp, memref::AtomicRMWOp>(write.getOperation()) &&
-                   getSharing(write, loop) != Sharing::Own;
+    bool isUpdate = isTotal(write) && getSharing(write, loop) != Sharing::Own;
     InFlightDiagnostic diag =
         read->emitError()
         << describeElement(read)
         << " is read here by one iteration of a parallel loop, while another "
-        << (isTotal ? "one updates it" : "one writes it")
+        << (isUpdate ? "one updates it" : "one writes it")
         << ", and the result would depend on which of them comes first";
     Diagnostic &note = diag.attachNote(write->getLoc())
-                       << (isTotal ? "updated here" : "written here");
+                       << (isUpdate ? "updated here" : "written here");
     auto show = [](ArrayRef<int64_t> iteration) {
       std::string text;
       llvm::raw_string_ostream stream(text);
@@ -154,7 +169,7 @@ void OtherIterations::report() {
            << show(example->lhs) << " writes";
     diag.attachNote(loop->getLoc())
         << "run this loop on one thread ('serialize'), or "
-        << (isTotal
+        << (isUpdate
                 ? "use the value that the update returns, or read the element "
                   "in a later loop"
                 : "write to another field and copy it in a later loop");

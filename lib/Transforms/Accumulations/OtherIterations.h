@@ -13,6 +13,10 @@
 
 namespace mlir::tai {
 
+/// True for an atomic whose result depends on all operands. Minima, maxima and
+/// masks only ever come closer to their result.
+bool isTotal(DifferentiableAccessInterface access);
+
 /// Finds reads, in a parallel loop, of elements that other iterations write:
 /// the result of such a read depends on which iteration comes first.
 class OtherIterations {

@@ -192,23 +192,6 @@ void LoopUpdates::check(DifferentiableAccessInterface store) {
                   "and the result would depend on which of them comes first");
 }
 
-/// True for an atomic whose result depends on all operands. Minima, maxima and
-/// masks only ever come closer to their result.
-static bool isTotal(DifferentiableAccessInterface access) {
-  if (auto update = dyn_cast<memref::AtomicRMWOp>(access.getOperation())) {
-    using Kind = arith::AtomicRMWKind;
-    return llvm::is_contained(
-        {Kind::addf, Kind::addi, Kind::mulf, Kind::muli, Kind::xori},
-        update.getKind());
-  }
-  auto atomic = dyn_cast<AtomicOp>(access.getOperation());
-  if (!atomic)
-    return false;
-  AtomicKind kind = getCombiningKind(atomic.getKind());
-  return kind == AtomicKind::Add || kind == AtomicKind::Mul ||
-         kind == AtomicKind::Xor;
-}
-
 /// True if the value of a read reaches a value or an index of a write: a total
 /// so far, as in `count[None] += 1; list[count[None]] = i`. Comparisons end
 /// the search, because `if count[None] < n` only saves work.

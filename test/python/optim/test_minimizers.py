@@ -1,9 +1,11 @@
 """L-BFGS, Gauss-Newton and SciPy's methods on fields."""
 
+import gc
 import pickle
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -380,3 +382,39 @@ def test_programs_of_the_page(number, tmp_path):
     file = tmp_path / "program.py"
     file.write_text(PROGRAMS[number])
     subprocess.run([sys.executable, "-W", "error::UserWarning", str(file)], check=True)
+
+
+@pytest.mark.parametrize(
+    "method, options, error",
+    [
+        (ti.optim.LBFGS, {}, "a tape with one loss"),
+        (ti.optim.LBFGS, {"gtol": -1.0}, "a tape with one loss"),
+        (ti.optim.GaussNewton, {"gtol": -1.0}, "gtol"),
+        (ti.optim.GaussNewton, {}, "not finite"),
+    ],
+)
+def test_no_word_about_the_tape_of_a_minimisation_that_failed(method, options, error):
+    ti.init()
+    p = Rosenbrock()
+    p.x.fill(float("nan"))
+    with ti.ad.Tape() as tape:
+        p.residuals()
+    made = method([p.x], [p.r]) if method is ti.optim.GaussNewton else method([p.x])
+    with warnings.catch_warnings(record=True) as seen:
+        with pytest.raises(ti.TaiError, match=error):
+            made.minimize(tape, **options)
+        del tape
+        gc.collect()
+    assert not seen
+
+
+def test_no_word_about_the_own_tape_of_a_minimisation_that_failed():
+    ti.init()
+    p = Rosenbrock()
+    p.x.fill(float("nan"))
+    method = ti.optim.GaussNewton([p.x], [p.r])
+    with warnings.catch_warnings(record=True) as seen:
+        with pytest.raises(ti.TaiError, match="not finite"):
+            method.minimize(p.residuals)
+        gc.collect()
+    assert not seen

@@ -7,11 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-import tai
+
+import needed
 
 ROOT = Path(__file__).resolve().parents[3]
-# The package stands in the checkout, or in the installation of a wheel that is tested.
-PACKAGE = Path(tai.__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "ensemble.py"
 
 
@@ -30,7 +29,7 @@ def find_python() -> str | None:
 
 
 def environment() -> dict[str, str]:
-    path = [*os.environ.get("PYTHONPATH", "").split(os.pathsep), str(PACKAGE)]
+    path = [*os.environ.get("PYTHONPATH", "").split(os.pathsep), str(needed.PACKAGE)]
     more = {"PYTHONPATH": os.pathsep.join(filter(None, path)), "OMP_NUM_THREADS": "1"}
     kept = {k: v for k, v in os.environ.items() if k not in ("TI_ARCH", "TAI_CUDA_EMULATION")}
     return kept | more

@@ -235,3 +235,16 @@ def test_no_warnings_without_reason():
             m.add()
         tape.grad()
         tape.replay()
+
+
+def test_backward_of_a_loss_names_the_tape():
+    m = Model()
+    array = ti.ndarray(ti.f32, 3, needs_grad=True)
+    vectors = ti.Vector.field(2, ti.f32, 3, needs_grad=True)
+    number, vector = ti.ad.variable(2.0), ti.Vector([1.0, 2.0])
+    for value in (m.total, array, vectors, number, vector):
+        assert not hasattr(value, "backward")
+        with pytest.raises(AttributeError, match="no attribute 'backward'") as raised:
+            value.backward()
+        assert "with ti.ad.Tape(loss):" in str(raised.value)
+        assert "tape.backward(loss)" in str(raised.value)

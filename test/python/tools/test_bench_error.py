@@ -10,21 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tai
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks" / "error"))
 
 import compare
 import gates
 import modes
+import needed
 import page
 import references
 import rows as table
 import solve_to
 
 ROOT = Path(__file__).resolve().parents[3]
-# The package stands in the checkout, or in the installation of a wheel that is tested.
-PACKAGE = Path(tai.__file__).resolve().parents[1]
 FOLDER = ROOT / "benchmarks" / "error"
 SECONDS = 200
 # Other benchmarks have a module `run`, too.
@@ -34,7 +32,7 @@ SPEC.loader.exec_module(bench)
 
 
 def start(script, *options):
-    environment = os.environ | {"PYTHONPATH": str(PACKAGE)}
+    environment = os.environ | {"PYTHONPATH": str(needed.PACKAGE)}
     command = [sys.executable, str(FOLDER / script), *map(str, options)]
     return subprocess.run(
         command, capture_output=True, text=True, env=environment, timeout=SECONDS

@@ -13,13 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tai
 
 import needed
 
 ROOT = Path(__file__).resolve().parents[3]
-# The package stands in the checkout, or in the installation of a wheel that is tested.
-PACKAGE = Path(tai.__file__).resolve().parents[1]
 SCRIPTS = sorted((ROOT / "test/reliability").glob("r[0-9]*_*.py"))
 BARS = [path for path in SCRIPTS if "Bar(" in path.read_text()]
 SHORT = [path for path in BARS if "apart=True" not in path.read_text()]
@@ -27,7 +24,7 @@ SHORT = [path for path in BARS if "apart=True" not in path.read_text()]
 
 @pytest.mark.parametrize("script", SHORT, ids=lambda path: path.stem)
 def test_bar(script):
-    environment = os.environ | {"PYTHONPATH": str(PACKAGE)}
+    environment = os.environ | {"PYTHONPATH": str(needed.PACKAGE)}
     command = [sys.executable, script, "--short"]
     result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200)
     assert result.returncode == 0, result.stdout + result.stderr

@@ -95,6 +95,8 @@ public:
     /// All accesses of the kernel itself, since the reverse of a host function
     /// that launches the kernel may read this memory.
     std::vector<Use> touches;
+    /// True if the tape has adopted the kernel while no other tape recorded.
+    bool isAdopted = false;
   };
   /// The part to save and restore for a change of `range`. In forward mode, a
   /// dual is saved with its primal field, so the part is the whole primal
@@ -107,6 +109,9 @@ public:
   }
   /// Returns how a kernel uses fields; plans its adjoint if necessary.
   const KernelUses &usesOf(Kernel &kernel);
+  void noteAdopted(const Kernel &kernel) {
+    kernelUses.at(&kernel)->isAdopted = true;
+  }
   /// Returns how a kernel uses fields, or null before the first usesOf(kernel).
   const KernelUses *findUses(const Kernel &kernel) const {
     auto found = kernelUses.find(&kernel);

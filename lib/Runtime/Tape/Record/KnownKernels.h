@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The kernels that a tape has adopted while no other tape recorded, with the
-// tape's data about each. A launch under the tape looks its kernel up here, so
-// the kernels of recent launches are found without a search. The recording
+// The kernels of a tape's recent launches, with the tape's data about each. A
+// launch under the tape looks its kernel up here before it searches. Holds
+// kernels only that were adopted while no other tape recorded. The recording
 // keeps the kernels alive.
 //
 //===----------------------------------------------------------------------===//
@@ -17,26 +17,20 @@
 
 #include "tai/Runtime/Launch/Kernel.h"
 #include <array>
-#include <unordered_map>
 
 namespace mlir::tai::runtime {
 
 class KnownKernels {
 public:
   void add(const Kernel &kernel, const void *uses) {
-    adopted[&kernel] = uses;
     recentOf(kernel) = {&kernel, uses};
   }
-  /// The data of the last add() for the kernel; null if there was none.
+  /// The data of the last add() for the kernel; null if there was none, or
+  /// another kernel has taken its place since.
   const void *find(const Kernel &kernel) {
-    Entry &recent = recentOf(kernel);
-    if (__builtin_expect(recent.kernel == &kernel, true))
-      return recent.uses;
-    auto found = adopted.find(&kernel);
-    if (found == adopted.end())
-      return nullptr;
-    recent = {&kernel, found->second};
-    return found->second;
+    const Entry &recent = recentOf(kernel);
+    return __builtin_expect(recent.kernel == &kernel, true) ? recent.uses
+                                                            : nullptr;
   }
 
 private:
@@ -50,7 +44,6 @@ private:
   }
 
   std::array<Entry, 64> recents;
-  std::unordered_map<const Kernel *, const void *> adopted;
 };
 
 } // namespace mlir::tai::runtime

@@ -177,8 +177,10 @@ Status Tape::adopt(Kernel &kernel) {
   const void *uses = &parts->memory.usesOf(kernel);
   // A kernel that is adopted while another tape records is adopted once more,
   // when the other one has ended.
-  if (!parts->services.recordsTogether())
+  if (!parts->services.recordsTogether()) {
+    parts->memory.noteAdopted(kernel);
     parts->known.add(kernel, uses);
+  }
   parts->recording.keep(kernel);
   return Status::success();
 }
@@ -191,9 +193,13 @@ Status Tape::findUses(Kernel &kernel, const void *&uses) {
   Status status;
   if (__builtin_expect(isAlone && uses, true))
     return status;
-  uses = parts->memory.findUses(kernel);
-  if (uses && !isAlone)
+  const TapeMemory::KernelUses *found = parts->memory.findUses(kernel);
+  if (found && (!isAlone || found->isAdopted)) {
+    uses = found;
+    if (isAlone)
+      parts->known.add(kernel, uses);
     return status;
+  }
   // To adopt a kernel may take long: another thread may have begun to record
   // meanwhile.
   status = adopt(kernel);

@@ -278,6 +278,7 @@ class Tape(native.WithBlock):
         self._note_use()
 
     def _note_use(self) -> None:
+        """Ends the warning of a gradient that was never computed: the record is in use."""
         if self._missing is not None:
             self._missing.is_missing = False
 

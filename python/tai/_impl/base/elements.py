@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ...errors import TaiRuntimeTypeError
+from .keywords import MissingMethod
 
 # Python operators that are refused for whole fields and arrays.
 _OPERATORS = {
@@ -35,6 +36,8 @@ class Elements:
     are refused, so that no program computes on the host by mistake. `x == y` of two of them says
     whether they are the same one, and they are keys of dictionaries.
     """
+
+    backward = MissingMethod()
 
     def suggest_name(self, name: str) -> None:
         """Takes the name of the variable that holds this field or array, if it has no name yet."""

@@ -46,13 +46,35 @@ def check_keywords(
             namespace[name] = checked(value)
 
 
+# Hints for methods of other libraries' objects, by their names.
+_OTHERS = {
+    "backward": "hint: a tape computes gradients: with ti.ad.Tape(loss): … where the loss is a "
+    "field; with ti.ad.Tape() as tape: … and then tape.backward(loss) where a kernel returns it",
+}
+
+
 def missing_attribute(text: str, name: str, known: Iterable[str]) -> AttributeError:
     """The error for an attribute that an object has not, with the nearest of the known names."""
-    near = None
-    if not name.startswith("_"):  # Other libraries ask for names with underscores.
+    near = _OTHERS.get(name)
+    if near is None and not name.startswith("_"):  # Other libraries ask for these.
         near = did_you_mean(name, [one for one in known if not one.startswith("_")])
     # With the attribute `name`, Python adds no suggestion of its own to the error.
     return AttributeError(text if near is None else f"{text}\n  {near}", name=name)
+
+
+class MissingMethod:
+    """A method of other libraries' objects that a class has not, as a class attribute.
+
+    The error says what to write instead. In contrast to `__getattr__`, it costs nothing where
+    other attributes are looked up.
+    """
+
+    def __set_name__(self, cls: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, value: Any, cls: type) -> Any:
+        text = f"'{cls.__name__}' object has no attribute '{self._name}'"
+        raise missing_attribute(text, self._name, ())
 
 
 def suggest_names(namespace: dict[str, Any]) -> None:

@@ -25,7 +25,7 @@ from ..launch.stacked import StackedKernel
 from ..tracking import tracked
 from .parameters import asks_for_tape, check_outputs, in_order, kinds_of
 from .stacked import Stacks
-from .writers import check_forms, run_recorded
+from .writers import ForwardRuns, kind_of
 from .xla_buffers import DeviceBuffer, number_of, store_number, zeros_like
 
 _TARGET = "tai_call"
@@ -63,9 +63,18 @@ def _with_gradient(array: Any, grad: Any) -> Any:
     return whole
 
 
-def _kind_of(operands: Sequence[Any]) -> tuple:
-    """Returns the types and numbers of dimensions of operands."""
-    return tuple([(o.dtype, o.ndim) for o in operands])
+def _as_variable(value: Any) -> Any:
+    """Returns an array of floats with a gradient of zeros, and any other value itself."""
+    if hasattr(value, "dtype") and np.issubdtype(value.dtype, np.floating):
+        return _with_gradient(value, zeros_like(value, value))
+    return value
+
+
+def _clear(result: Any) -> None:
+    if isinstance(result, np.ndarray):
+        result[...] = 0
+    else:
+        result.clear()
 
 
 class _Task:
@@ -216,9 +225,7 @@ class Operator:
         # Whether a gradient needs output values that later stores overwrite; None before
         # compilation.
         self._needs_tape: bool | None = None if isinstance(function, Kernel) else True
-        # Whether the forward run with operands of these types needs a tape, by which iterations
-        # that store to one element are told apart.
-        self._recorded: dict[tuple, bool] = {}
+        self._forward_runs = ForwardRuns(self.__name__, _as_variable)
         self._numbers: dict[tuple, int] = {}
         self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
         _register()
@@ -391,34 +398,8 @@ class Operator:
         ]
 
     def _compute(self, operands: list[Any], results: list[Any]) -> None:
-        values, kind = self._values(operands), _kind_of(operands)
-        is_recorded = self._recorded.get(kind)
-        if is_recorded is not False:
-            given = self._with_gradients(values), self._with_gradients(results)
-            try:
-                _, is_recorded = run_recorded(lambda: self._launch(*given))
-                self._recorded.setdefault(kind, is_recorded)
-                return
-            except (TaiAutodiffError, TaiCompilationError):
-                if is_recorded:
-                    raise
-                # The call itself is no error where only the gradient is one.
-                self._recorded[kind] = False
-                for result in results:
-                    if isinstance(result, np.ndarray):
-                        result[...] = 0
-                    else:
-                        result.clear()
-        self._launch(values, results)
-
-    @staticmethod
-    def _with_gradients(values: Sequence[Any]) -> list[Any]:
-        return [
-            _with_gradient(v, zeros_like(v, v))
-            if hasattr(v, "dtype") and np.issubdtype(v.dtype, np.floating)
-            else v
-            for v in values
-        ]
+        values, kind = self._values(operands), kind_of(operands)
+        self._forward_runs.run(kind, self._launch, values, results, _clear)
 
     def _differentiate(
         self, operands: list[Any], results: list[Any], wanted: tuple[int, ...]
@@ -446,9 +427,7 @@ class Operator:
         if needs_tape:
             with Tape() as tape:
                 self._launch(inputs, outputs)
-            kind = _kind_of(operands[:count])
-            if not self._recorded.get(kind):
-                check_forms(tape, self.__name__, lambda: self._recorded.update({kind: True}))
+            self._forward_runs.check(kind_of(operands[:count]), tape)
             tape.grad()
         else:
             try:

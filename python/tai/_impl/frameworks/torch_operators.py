@@ -23,7 +23,7 @@ from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
 from .parameters import asks_for_tape, check_outputs, in_order, kinds_of
 from .stacked import Stacks
-from .writers import check_forms, run_recorded
+from .writers import ForwardRuns, kind_of
 
 # Functions of torch that are looked up once, because each look-up costs a notable share of a
 # launch.
@@ -85,10 +85,9 @@ class Operator:
         # The same list as `_models`, if all outputs are like an input.
         numbers = [m for m in self._models if m is not None]
         self._likes = numbers if len(numbers) == len(self._models) else None
+        # Kinds of operands for which it was checked that launches do not write to inputs.
         self._known: set[tuple] = set()
-        # Some of them need a tape for the forward run, too: it tells iterations that store to one
-        # element apart.
-        self._recorded: set[tuple] = set()
+        self._forward_runs = ForwardRuns(self.__name__, _as_variable)
         self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
         # A subclass for each operator, so that torch need not pass the operator as an argument.
         self._eager: Any = type("_EagerCall", (_Eager,), {"operator": self})
@@ -298,23 +297,23 @@ class Operator:
                 if not value.is_contiguous():
                     value = value.contiguous()
             plain.append(value)
-        kind = _kind_of(plain)
+        kind = self._kind_of(plain)
         if kind not in self._known:
             self._launch_first(plain, outputs, kind)
             self._known.add(kind)
-            if kind not in self._recorded:
+            if not self._forward_runs.need_tape(kind):
                 self._note(kind)
-        elif kind in self._recorded:
-            self._launch_recorded(plain, outputs)
         else:
-            self._launch(plain, outputs)
+            self._run_forward(plain, outputs, kind)
         return outputs[0] if len(outputs) == 1 else tuple(outputs)
 
-    def _launch_recorded(self, inputs: Sequence[Any], outputs: Sequence[Any]) -> tuple[Any, bool]:
-        """Launches under a tape, see `run_recorded`."""
-        given = _with_gradients(inputs), _with_gradients(outputs)
+    def _kind_of(self, inputs: Sequence[Any]) -> tuple:
+        return kind_of(itertools.compress(inputs, self._is_tensor))
+
+    def _run_forward(self, inputs: Sequence[Any], outputs: Sequence[Any], kind: tuple) -> Any:
+        """Launches, under a tape where the gradient is of another form of the kernel."""
         with torch.no_grad():
-            return run_recorded(lambda: self._launch(*given))
+            return self._forward_runs.run(kind, self._launch, inputs, outputs, torch.Tensor.zero_)
 
     def _launch_first(
         self, inputs: Sequence[Any], outputs: Sequence[Any], kind: tuple = ()
@@ -331,16 +330,8 @@ class Operator:
         named = zip(self.inputs, inputs, strict=True)
         tensors = {n: t for n, t in named if isinstance(t, torch.Tensor)}
         before = {n: t.clone() for n, t in tensors.items()}
-        try:
-            answer, is_chosen = self._launch_recorded(inputs, outputs)
-        except (TaiAutodiffError, TaiCompilationError):
-            # The call itself is no error where only the gradient is one.
-            for output in outputs:
-                output.zero_()
-            answer, is_chosen = self._launch(inputs, outputs), False
-        if is_chosen:
-            self._recorded.add(kind)
-            self._needs_tape = True
+        answer = self._run_forward(inputs, outputs, kind)
+        self._needs_tape |= self._forward_runs.need_tape(kind)
         for name, tensor in tensors.items():
             same = torch.equal(_bytes_of(tensor), _bytes_of(before[name]))
             if not same or self._writes(name):
@@ -420,9 +411,7 @@ class Operator:
             clear_all_gradients()
             with Tape() as tape:
                 self._launch(given, outputs)
-            kind = _kind_of(inputs)
-            if kind not in self._recorded:
-                check_forms(tape, self.__name__, lambda: self._recorded.add(kind))
+            self._forward_runs.check(self._kind_of(inputs), tape)
             tape.grad()
         else:
             try:
@@ -656,20 +645,10 @@ def _find_operator(name: str, identity: tuple) -> Operator:
     return found
 
 
-def _kind_of(values: Sequence[Any]) -> tuple:
-    """Returns the types and numbers of dimensions of the tensors among inputs."""
-    tensors = [v for v in values if isinstance(v, torch.Tensor)]
-    return tuple([part for t in tensors for part in (t.dtype, t.ndim)])
-
-
-def _with_gradients(values: Sequence[Any]) -> list[Any]:
-    """Returns the values, with tensors of floats as kernels are differentiated by them."""
-    return [
-        v.detach().requires_grad_()
-        if isinstance(v, torch.Tensor) and v.is_floating_point() and not v.requires_grad
-        else v
-        for v in values
-    ]
+def _as_variable(value: Any) -> Any:
+    """Returns a tensor of floats as a variable of kernels, and any other value itself."""
+    is_float = isinstance(value, torch.Tensor) and value.is_floating_point()
+    return value.detach().requires_grad_() if is_float and not value.requires_grad else value
 
 
 def _stacked(found: list) -> Any:

@@ -93,6 +93,8 @@ class GaussNewton:
                 has no tangent rule, or a tape records.
         """
         user = self._user
+        if isinstance(function, Tape):
+            function._note_use()
         check_outside(f"{user}.minimize()")
         gtol = check_number(user, "gtol", gtol, 0.0)
         ftol = check_number(user, "ftol", ftol, 0.0)
@@ -167,6 +169,7 @@ class GaussNewton:
         self._evaluations += 1
         with Tape() as tape:
             function()
+        tape._note_use()
         return tape
 
     def _clear(self) -> None:

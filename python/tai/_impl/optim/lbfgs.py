@@ -85,14 +85,11 @@ class LBFGS:
             TaiAutodiffError: the loss or its gradient is not finite at the start, or a tape
                 records.
         """
+        objective = Objective(function, self._user, self._parameters)
         check_outside(f"{self._user}.minimize()")
         gtol = check_number(self._user, "gtol", gtol, 0.0)
         ftol = check_number(self._user, "ftol", ftol, 0.0)
-        objective, k, v = (
-            Objective(function, self._user, self._parameters),
-            get_kernels(),
-            get_vectors(),
-        )
+        k, v = get_kernels(), get_vectors()
         noise = 1e-14 if self._flat.dtype is dtypes.f64 else 1e-6
         self._flat.gather(self._x, "value")
         loss = objective.evaluate()

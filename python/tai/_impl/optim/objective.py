@@ -51,6 +51,7 @@ class Objective:
         self._user, self.evaluations = user, 0
         if isinstance(function, Tape):
             self._tape = function
+            function._note_use()
             self._loss = function.loss if function.loss is not None else function._outer_loss
             if self._loss is None or isinstance(self._loss, (list, tuple)):
                 raise TaiRuntimeTypeError(

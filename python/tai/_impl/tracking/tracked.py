@@ -19,6 +19,7 @@ import numpy as np
 from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import state
 from ..base.dtypes import DataType
+from ..base.keywords import MissingMethod
 from ..fields.arrays import Ndarray
 from ..history import gradients, origins
 from ..history.gradients import ArrayGradient, Gradient, note_variable
@@ -98,6 +99,8 @@ class Number(float):
     Attributes:
         grad: the gradient after a reverse sweep.
     """
+
+    backward = MissingMethod()
 
     _gradient: Gradient | None
     # The element that keeps the value's tangent in forward mode, or None.
