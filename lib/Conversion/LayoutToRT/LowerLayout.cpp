@@ -67,20 +67,28 @@ private:
 
 /// Returns the digits of the address of an access, for later analyses; null if
 /// the program multiplies parts of an index by factors that could be taken for
-/// strides of the field's digits. `peeled` are the constants that were
-/// subtracted from the indices.
+/// strides of the field's digits. `near` are the indices without the offsets of
+/// the field and without the constants `peeled`.
 static DenseI64ArrayAttr getDigits(MLIRContext *context, const FieldInfo &field,
-                                   ValueRange indices,
+                                   ValueRange indices, ValueRange near,
                                    ArrayRef<int64_t> peeled) {
   for (auto [index, extent] : llvm::zip(indices, field.layout.shape))
     for (const auto &[atom, factor] : getIndexExpr(index).terms)
       if (std::abs(factor) > 1 && std::abs(factor) >= extent)
         return {};
   SmallVector<int64_t> digits;
-  for (const IndexDigit &digit : field.storage.digits)
-    if (digit.extent != 1)
-      digits.append({int64_t(digit.stride), int64_t(digit.extent),
-                     -peeled[digit.dimension]});
+  for (const IndexDigit &digit : field.storage.digits) {
+    if (digit.extent == 1)
+      continue;
+    // A digit of a constant index has one value.
+    std::optional<int64_t> index = getConstantIntValue(near[digit.dimension]);
+    if (index && *index >= 0)
+      digits.append(
+          {int64_t(digit.stride), 1, *index / digit.divisor % digit.extent});
+    else
+      digits.append(
+          {int64_t(digit.stride), digit.extent, -peeled[digit.dimension]});
+  }
   if (field.numComponents != 1)
     digits.append({int64_t(field.scalarSize), int64_t(field.numComponents), 0});
   return DenseI64ArrayAttr::get(context, digits);
@@ -144,7 +152,8 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
     SmallVector<int64_t> peeled;
     if (isNear) {
       peeled = peelConstants(rewriter, loc, field, near);
-      scopes.digits = getDigits(rewriter.getContext(), field, indices, peeled);
+      scopes.digits =
+          getDigits(rewriter.getContext(), field, indices, near, peeled);
     }
     Value base = lowering.getFieldBase(field);
     auto access = [&](OpBuilder &b) -> Value {

@@ -196,8 +196,7 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
     return true;
   }
   // A digit that is not a sum of known terms can take any value in its range.
-  // Digits of larger strides are summands multiplied by their strides; the sum
-  // of the remaining summands is the digit of the smallest stride.
+  // Digits of larger strides are summands multiplied by their strides.
   SmallVector<int64_t> strides, extents, begins;
   for (size_t i = 0; i + 2 < digits.size(); i += 3) {
     strides.push_back(digits[i]);
@@ -219,7 +218,8 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
       rest.push_back(part);
       continue;
     }
-    if (!seen.insert(digit).second)
+    // A digit with a constant value is no variable summand.
+    if (extents[digit] == 1 || !seen.insert(digit).second)
       return false;
     Address with = attempt;
     if (addTerms(with, part, size))
@@ -233,10 +233,15 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
     address = std::move(with);
     return true;
   }
+  // The constants of several digits are one summand in the program, and so are
+  // digits that the program multiplies together, so each digit that has no
+  // summand of its own takes any value in its range.
   size_t smallest = llvm::find(strides, size) - strides.begin();
   if (smallest == strides.size() || seen.contains(smallest))
     return false;
-  widenBy(attempt, smallest);
+  for (size_t digit = 0; digit < strides.size(); ++digit)
+    if (!seen.contains(digit))
+      widenBy(attempt, digit);
   address = std::move(attempt);
   return true;
 }

@@ -93,3 +93,32 @@ tai.kernel @says() {
   }
   tai.return
 }
+
+// A row at constant indices, of which the program makes one constant, and an
+// element of it that only the bounds of the loop know: the row begins at
+// 2 * 320 + 3 * 32, and its window is the row.
+// CHECK-LABEL: llvm.func @fixed_row_0(
+//  CHECK-SAME:   tai.accesses = array<i64: 1, 1, -1, 1, 2, 736, 32, 4, 4, 0, 0, 0>
+tai.kernel @fixed_row(%first: index, %last: index) {
+  %c2 = arith.constant 2 : index
+  %c3 = arith.constant 3 : index
+  %one = arith.constant 1.0 : f32
+  tai.parallel_for (%k) = (%first) to (%last) {
+    tai.store %one, @x[%c2, %c3, %k] : f32
+  }
+  tai.return
+}
+
+// A product that is no digit leaves the first index unknown: any element.
+// CHECK-LABEL: llvm.func @product_0(
+//  CHECK-SAME:   tai.accesses = array<i64: 1, 1, -1, 1, 2, 96, 4832, 4, 4, 0, 0, 0>
+tai.kernel @product(%first: index, %last: index) {
+  %c2 = arith.constant 2 : index
+  %c3 = arith.constant 3 : index
+  %one = arith.constant 1.0 : f32
+  tai.parallel_for (%k) = (%first) to (%last) {
+    %twice = arith.muli %k, %c2 : index
+    tai.store %one, @x[%twice, %c3, %k] : f32
+  }
+  tai.return
+}

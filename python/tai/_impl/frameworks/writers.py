@@ -83,7 +83,8 @@ class ForwardRuns:
             TaiAutodiffError: the tape has run other forms of kernels. Later forward runs of the
                 kind have a tape.
         """
-        if self.need_tape(kind) or not _runs_other_forms(tape):
+        # XLA may run a gradient before its forward run, which then decides for itself.
+        if self._needs_tape.get(kind) is not False or not _runs_other_forms(tape):
             return
         self._needs_tape[kind] = True
         raise TaiAutodiffError(

@@ -162,7 +162,8 @@ def test_f64_where_it_is_faster(monkeypatch, wide_takes):
     found = ti.solve_to(run, loss=loss, wrt=[x], error=1e-3)
     assert found.modes["precision"] == ("f64" if wide_takes < 1 else "f32")
     assert found.time == min(wide_takes, 1.0)
-    assert is_right(found, value, gradient, max(found.error, 1e-14))
+    # A device adds in another order each time.
+    assert is_right(found, value, gradient, max(2 * found.error, 1e-14))
     assert found.iterations <= 20
 
 
