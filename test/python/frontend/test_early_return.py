@@ -459,3 +459,50 @@ def test_returns_in_branches_are_those_that_the_kernel_announces():
     assert "return 3" in str(caught.value)
     with pytest.raises(ti.TaiSyntaxError, match="has a return type: return a value"):
         nothing(1)
+
+
+def test_a_search_at_the_top_of_a_kernel():
+    """A loop of a function that may return early runs in order."""
+    x = ti.field(ti.f32, 1000)
+    x.from_numpy(np.arange(1000, dtype=np.float32))
+
+    @ti.func
+    def find(least) -> ti.i32:
+        for i in range(1000):
+            if x[i] >= least:
+                return i
+        return -1
+
+    @ti.kernel
+    def search(least: ti.f32) -> ti.i32:
+        return find(least)
+
+    assert [search(v) for v in (-1, 500.5, 2000)] == [0, 501, -1]
+
+
+def test_loops_of_real_functions_run_in_order():
+    x = ti.field(ti.f32, 1000)
+    x.fill(1)
+
+    @ti.func
+    def add_former(i):
+        for j in range(i - 1, i):
+            x[i] += x[j]
+
+    @ti.real_func
+    def scan(n: ti.i32) -> ti.f32:
+        last = 0.0
+        for i in range(1, n):
+            add_former(i)
+            last = last * 0.5 + x[i]
+        return last
+
+    @ti.kernel
+    def run() -> ti.f32:
+        return scan(1000)
+
+    expected = 0.0
+    for i in range(2, 1001):
+        expected = expected * 0.5 + i
+    assert run() == pytest.approx(expected)
+    np.testing.assert_array_equal(x.to_numpy(), np.arange(1, 1001))

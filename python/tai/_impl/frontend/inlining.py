@@ -52,6 +52,7 @@ class Inlining(Part):
         bound = info.bind(args, kwargs)
         frame = Frame(info.function, function_ast(info.function), "func")
         frame.depth = self.context.depth
+        frame.in_order = info.in_order or self.frame.in_order
         frame.result_type = info.result_type
         frame.call = (self.frame.filename, node.lineno)
         positional = dict(zip(info.names[1 if is_method else 0 :], node.args, strict=False))

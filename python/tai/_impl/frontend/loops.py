@@ -12,6 +12,7 @@ from .context import Context, Part
 from .loop_config import LoopConfig
 from .loop_domains import Bounds, LoopDomains
 from .parallel_loops import ParallelLoops
+from .returns import find_return
 from .scope import Loop, StaticBreak, StaticContinue
 from .serial_loops import SerialLoops
 from .sparse import Level
@@ -50,7 +51,8 @@ class Loops(Part):
                 "a loop at the top of a kernel of a batch runs in parallel over the worlds",
                 "for an order within a world, put it in a loop: for _ in range(1)",
             )
-        top = self.context.depth == self.context.top_depth and not options.get("serialize", False)
+        in_order = options.get("serialize", False) or self._runs_in_order(node)
+        top = self.context.depth == self.context.top_depth and not in_order
         if isinstance(domain, Bounds):
             if top and options.get("parallelize", 0) != 1:
                 self.parallel.make(node, domain, None, grouped, options)
@@ -64,6 +66,12 @@ class Loops(Part):
             )
         options["serialize"] = not top
         self.parallel.make(node, None, domain, grouped, options)
+
+    def _runs_in_order(self, node: ast.For) -> bool:
+        """Whether a loop of a function runs in order although it stands at the top of a kernel."""
+        if self.frame.kind != "func":
+            return False
+        return self.frame.in_order or find_return(node.body) is not None
 
     def visit_WorldLoop(self, node: ast.For) -> None:
         self.at(node)

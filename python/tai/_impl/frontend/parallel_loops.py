@@ -14,6 +14,7 @@ from ..values.value import Value
 from .block_sizes import block_dim_of
 from .context import Context, Part
 from .loop_domains import Bounds, LoopDomains
+from .private_variables import is_private
 from .refs import FieldElement, Variable, field_element
 from .regions import Regions
 from .scope import Loop
@@ -53,8 +54,8 @@ class ParallelLoops(Part):
         worlds = emitter.worlds
         if worlds is not None:
             bounds, rank = self._with_worlds(bounds, field, level, rank)
-        own = rank if level is None else level.rank
-        names = self.domains.targets(node, own - (worlds is not None), grouped, field)
+        count = rank if level is None else level.rank
+        names = self.domains.targets(node, count - (worlds is not None), grouped, field)
         lower: list[Any] = []
         upper: list[Any] = []
         # A loop over an array without dimensions has one iteration and no index.
@@ -72,7 +73,9 @@ class ParallelLoops(Part):
         is_serial = bool(options.get("serialize"))
 
         loop = Loop("parallel", self.context.depth + 1)
-        shared = self._share(self.regions.changed_by(node.body), node)
+        changed = self.regions.changed_by(node.body)
+        own = {v: v.value for v in changed if self._is_private(v, node)}
+        shared = self._share([v for v in changed if v not in own], node)
         outer = builder.get_block()
         region = builder.region()
         block = builder.block(region, [emitter.index_type] * (1 if is_single else rank))
@@ -135,6 +138,8 @@ class ParallelLoops(Part):
             assert place is not None
             variable.value = place.convert(place.load())
             variable.hidden = None
+        for variable, value in own.items():
+            variable.value = value
 
     def _with_worlds(
         self, bounds: Bounds | None, field: Any, level: Level | None, rank: int
@@ -160,6 +165,11 @@ class ParallelLoops(Part):
             f"'{variable.name}' would be one variable for all worlds, and the loop changes it",
             "keep it in a field of the batch, of shape (): total[None] += …",
         )
+
+    def _is_private(self, variable: Variable, node: ast.For) -> bool:
+        """Whether the iterations of a loop that changes a variable need not share it."""
+        name = variable.name
+        return self.frame.find(name) is variable and is_private(name, node, self.frame.node)
 
     def _share(self, variables: list[Variable], node: ast.For) -> list[Variable]:
         """Moves variables that a parallel loop changes to memory that its iterations share."""

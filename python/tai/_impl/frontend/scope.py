@@ -90,6 +90,8 @@ class Frame:
         self.results: Any = None
         self.form: Any = None
         self.depth = 0
+        # Whether its loops run in order at the top of a kernel too.
+        self.in_order = False
         self.call: tuple[str, int] | None = None
 
     @functools.cached_property

@@ -42,6 +42,7 @@ class FunctionInfo:
 
     def __init__(self, function: Callable[..., Any]):
         self.function, self.name = function, function.__name__
+        self.in_order = False  # whether its loops run on one thread, as those of `ti.real_func`
         texts.note(function)
         # The specialisations of kernels into which the function is compiled.
         self.users: weakref.WeakSet = weakref.WeakSet()
@@ -133,7 +134,11 @@ def pyfunc(function: Callable[..., Any]) -> Callable[..., Any]:
     return _make_function(function, True)
 
 
-real_func = func
+def real_func(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `ti.func`, and its loops run in order, wherever it is called."""
+    made = _make_function(function, False)
+    made._tai_func.in_order = True  # type: ignore[attr-defined]
+    return made
 
 
 def _make_function(function: Callable[..., Any], in_python: bool) -> Callable[..., Any]:
