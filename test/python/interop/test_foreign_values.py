@@ -193,9 +193,7 @@ class Tensor:
         return kind(text)
 
     def numpy(self):
-        if self.error:
-            raise self.make_error()
-        return np.zeros(3, np.float32)
+        raise self.make_error() if self.error else TypeError("can't convert")
 
     def __dlpack_device__(self):
         return (1, 0)

@@ -106,7 +106,10 @@ def as_device_array(value: Any) -> DeviceArray | None:
     """An array of torch, jax, cupy or another library on a GPU; None if it is not one."""
     if isinstance(value, DeviceArray):
         return value
-    if getattr(value, "is_cuda", None) is True:  # torch
+    is_cuda = getattr(value, "is_cuda", None)  # of torch
+    if is_cuda is False:
+        return None  # Its `__cuda_array_interface__` would raise an error, which takes long.
+    if is_cuda is True:
         value = value.detach()
         return DeviceArray(
             value.data_ptr(), value.shape, numpy_type(value.dtype), value,
@@ -170,8 +173,6 @@ def host_view(tensor: Any) -> np.ndarray:
     Raises:
         TaiRuntimeTypeError: it is of a form that has no dense memory.
     """
-    if any(is_form(tensor) for is_form, _, _ in _FORMS):
-        raise _not_shared(tensor, None)
     try:
         return tensor.detach().numpy()
     except (RuntimeError, TypeError, ValueError, NotImplementedError) as error:

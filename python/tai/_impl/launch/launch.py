@@ -76,6 +76,27 @@ def pack(
     return slots, kept
 
 
+def _register(
+    launcher: Any, signature: Signature, found: Specialization, grad: bool, cuts_graph: bool
+) -> None:
+    """Makes a launcher know a specialisation, if it can launch it without Python."""
+    descriptions = [spec.description(cuts_graph) for spec in found.specs]
+    wants_gradients = any(s.has_gradient and s.kind != "array" for s in found.specs)
+    result = found.result_spec
+    if (
+        None not in descriptions
+        and not (found.followed or found.result_pool)
+        and not wants_gradients
+        and not signature.structs  # one argument, several slots
+        and not isinstance(signature.result, StructResult)
+        and not (grad and result is not None and result.has_gradient)
+    ):
+        native.add_specialization(
+            launcher, found.core, grad, descriptions, found.result, found.tracking, found.reads
+        )
+        found.registered.add(grad)
+
+
 def launch(
     launcher: Any, signature: Signature, found: Specialization, values: list[Any], grad: bool,
     tracks: bool,
@@ -103,22 +124,9 @@ def launch(
         torch_graphs.warn_of_a_cut(
             launcher, signature.kernel, signature.parameters, values, found.specs
         )
-    descriptions = [spec.description(cuts_graph) for spec in found.specs]
-    wants_gradients = any(s.has_gradient and s.kind != "array" for s in found.specs)
+    if grad not in found.registered:
+        _register(launcher, signature, found, grad, cuts_graph)
     result = found.result_spec
-    if (
-        grad not in found.registered
-        and None not in descriptions
-        and not (found.followed or found.result_pool)
-        and not wants_gradients
-        and not signature.structs  # one argument, several slots
-        and not isinstance(signature.result, StructResult)
-        and not (grad and result is not None and result.has_gradient)
-    ):
-        native.add_specialization(
-            launcher, found.core, grad, descriptions, found.result, found.tracking, found.reads
-        )
-        found.registered.add(grad)
     others = [held.array for held in kept if isinstance(held.array, device_arrays.DeviceArray)]
     streams = device_arrays.order_before(others) if others else None
     tape: Any = tracked.recording()
