@@ -23,10 +23,10 @@ from ..interop.streams import let_stream_wait, wait_for_stream
 from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
 from ..tracking import tracked
-from .parameters import asks_for_tape, check_outputs, in_order, kinds_of
+from .parameters import asks_for_tape, check_outputs, copy_shared, in_order, kinds_of
 from .stacked import Stacks
 from .writers import ForwardRuns, kind_of
-from .xla_buffers import DeviceBuffer, number_of, store_number, zeros_like
+from .xla_buffers import DeviceBuffer, copy_of, number_of, store_number, zeros_like
 
 _TARGET = "tai_call"
 # A random number in the name of each operator, because executables that JAX keeps on disk can only
@@ -68,6 +68,13 @@ def _as_variable(value: Any) -> Any:
     if hasattr(value, "dtype") and np.issubdtype(value.dtype, np.floating):
         return _with_gradient(value, zeros_like(value, value))
     return value
+
+
+def _apart(values: Sequence[Any]) -> list[Any]:
+    """Returns the values, with copies of arrays that XLA keeps in the memory of an earlier one."""
+    return copy_shared(
+        values, lambda v: v.ctypes.data if getattr(v, "nbytes", 0) else None, copy_of
+    )
 
 
 def _clear(result: Any) -> None:
@@ -225,7 +232,7 @@ class Operator:
         # Whether a gradient needs output values that later stores overwrite; None before
         # compilation.
         self._needs_tape: bool | None = None if isinstance(function, Kernel) else True
-        self._forward_runs = ForwardRuns(self.__name__, _as_variable)
+        self._forward_runs = ForwardRuns(self.__name__, _as_variable, _apart)
         self._numbers: dict[tuple, int] = {}
         self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
         _register()
@@ -405,7 +412,7 @@ class Operator:
         self, operands: list[Any], results: list[Any], wanted: tuple[int, ...]
     ) -> None:
         count = len(self.inputs)
-        inputs = self._values(operands[:count])
+        inputs = _apart(self._values(operands[:count]))
         seeds = iter(results[len(wanted) :])
         numbers = []
         for number, result in zip(wanted, results, strict=False):

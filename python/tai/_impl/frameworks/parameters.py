@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError
@@ -123,6 +124,30 @@ def check_outputs(function: str, outputs: Any, kinds: dict[str, str], like: str)
                 f"{what}: the function for '{name}' does not take the {len(inputs)} inputs",
                 f"it is called with all inputs in order: lambda {', '.join(inputs)}: …",
             )
+
+
+def copy_shared(
+    values: Iterable[Any], address_of: Callable[[Any], int | None], copy: Callable[[Any], Any]
+) -> list[Any]:
+    """Returns the values, with copies of arrays that are where an earlier array is.
+
+    A kernel adds the gradient by each argument to memory of its own, and refuses arguments that
+    share memory otherwise. A user may give an operator one array twice.
+
+    Args:
+        values: the inputs of an operator.
+        address_of: returns where the memory of a value begins, or None if it has none.
+        copy: copies a value.
+    """
+    known: set[int] = set()
+    found = []
+    for value in values:
+        address = address_of(value)
+        if address is not None:
+            value = copy(value) if address in known else value
+            known.add(address)
+        found.append(value)
+    return found
 
 
 def _takes(function: Any, count: int) -> bool:

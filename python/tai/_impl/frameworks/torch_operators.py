@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import re
@@ -21,8 +22,9 @@ from ..ad.tape import Tape, clear_all_gradients
 from ..base import native, state
 from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
-from .parameters import asks_for_tape, check_outputs, in_order, kinds_of
+from .parameters import asks_for_tape, check_outputs, copy_shared, in_order, kinds_of
 from .stacked import Stacks
+from .torch_watch import ComputationWatch
 from .writers import ForwardRuns, kind_of
 
 # Functions of torch that are looked up once, because each look-up costs a notable share of a
@@ -87,7 +89,7 @@ class Operator:
         self._likes = numbers if len(numbers) == len(self._models) else None
         # Kinds of operands for which it was checked that launches do not write to inputs.
         self._known: set[tuple] = set()
-        self._forward_runs = ForwardRuns(self.__name__, _as_variable)
+        self._forward_runs = ForwardRuns(self.__name__, _as_variable, _apart)
         self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
         # A subclass for each operator, so that torch need not pass the operator as an argument.
         self._eager: Any = type("_EagerCall", (_Eager,), {"operator": self})
@@ -310,10 +312,19 @@ class Operator:
     def _kind_of(self, inputs: Sequence[Any]) -> tuple:
         return kind_of(itertools.compress(inputs, self._is_tensor))
 
-    def _run_forward(self, inputs: Sequence[Any], outputs: Sequence[Any], kind: tuple) -> Any:
-        """Launches, under a tape where the gradient is of another form of the kernel."""
+    def _run_forward(
+        self, inputs: Sequence[Any], outputs: Sequence[Any], kind: tuple, watch: Any = None
+    ) -> Any:
+        """Launches, under a tape where the gradient is of another form of the kernel, and within
+        the context `watch`."""
+
+        def launch(inputs: Sequence[Any], outputs: Sequence[Any]) -> Any:
+            with watch or contextlib.nullcontext():
+                return self._launch(inputs, outputs)
+
+        call = self._launch if watch is None else launch
         with torch.no_grad():
-            return self._forward_runs.run(kind, self._launch, inputs, outputs, torch.Tensor.zero_)
+            return self._forward_runs.run(kind, call, inputs, outputs, torch.Tensor.zero_)
 
     def _launch_first(
         self, inputs: Sequence[Any], outputs: Sequence[Any], kind: tuple = ()
@@ -330,7 +341,10 @@ class Operator:
         named = zip(self.inputs, inputs, strict=True)
         tensors = {n: t for n, t in named if isinstance(t, torch.Tensor)}
         before = {n: t.clone() for n, t in tensors.items()}
-        answer = self._run_forward(inputs, outputs, kind)
+        watch = None
+        if not self._is_kernel:
+            watch = ComputationWatch(self.__name__, [*tensors.values(), *outputs])
+        answer = self._run_forward(inputs, outputs, kind, watch)
         self._needs_tape |= self._forward_runs.need_tape(kind)
         for name, tensor in tensors.items():
             same = torch.equal(_bytes_of(tensor), _bytes_of(before[name]))
@@ -380,7 +394,7 @@ class Operator:
                 found = found if isinstance(found, tuple) else (found,)
                 return [gradient for gradient in found if gradient is not None]
         given, leaves = [], []
-        for value, is_tensor, is_needed in zip(inputs, self._is_tensor, needs, strict=True):
+        for value, is_tensor, is_needed in zip(_apart(inputs), self._is_tensor, needs, strict=True):
             if is_tensor:
                 value = value.detach()
                 if not value.is_contiguous():
@@ -643,6 +657,15 @@ def _find_operator(name: str, identity: tuple) -> Operator:
             "give it a name: wrap(…, name=…)",
         )
     return found
+
+
+def _apart(inputs: Sequence[Any]) -> list[Any]:
+    """Returns the inputs, with copies of tensors that share memory with an earlier one."""
+    return copy_shared(
+        inputs,
+        lambda v: v.untyped_storage().data_ptr() or None if isinstance(v, torch.Tensor) else None,
+        lambda v: v.detach().clone(),
+    )
 
 
 def _as_variable(value: Any) -> Any:

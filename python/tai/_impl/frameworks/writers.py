@@ -24,10 +24,16 @@ class ForwardRuns:
         operator: the name of the operator, for messages.
         as_variable: returns an operand in the form in which kernels are differentiated by it, or
             the operand itself.
+        apart: returns the inputs, with copies of those that share memory with an earlier one.
     """
 
-    def __init__(self, operator: str, as_variable: Callable[[Any], Any]):
-        self._operator, self._as_variable = operator, as_variable
+    def __init__(
+        self,
+        operator: str,
+        as_variable: Callable[[Any], Any],
+        apart: Callable[[Sequence[Any]], list[Any]],
+    ):
+        self._operator, self._as_variable, self._apart = operator, as_variable, apart
         # Whether the runs of a kind of operands need a tape.
         self._needs_tape: dict[tuple, bool] = {}
 
@@ -57,7 +63,10 @@ class ForwardRuns:
         needs_tape = self._needs_tape.get(kind)
         if needs_tape is False:
             return launch(inputs, outputs)
-        given = list(map(self._as_variable, inputs)), list(map(self._as_variable, outputs))
+        given = (
+            list(map(self._as_variable, self._apart(inputs))),
+            list(map(self._as_variable, outputs)),
+        )
         try:
             with Tape(clear_gradients=False) as tape:
                 answer = launch(*given)

@@ -87,6 +87,18 @@ def zeros_like(type_: Any, near: Any) -> Any:
     return made
 
 
+def copy_of(buffer: Any) -> Any:
+    """Returns a copy of a buffer, in the memory (host or GPU) where it is."""
+    made = zeros_like(buffer, buffer)
+    if isinstance(buffer, np.ndarray):
+        made[...] = buffer
+    else:
+        _call("cuMemcpyDtoDAsync_v2", _address(made.ctypes.data), _address(buffer.ctypes.data),
+              ctypes.c_size_t(buffer.nbytes), ctypes.c_void_p(buffer.queue))  # fmt: skip
+    made.flags.writeable = buffer.flags.writeable
+    return made
+
+
 def number_of(buffer: Any) -> Any:
     """The number in a buffer without dimensions; on a GPU this waits for the stream."""
     if isinstance(buffer, np.ndarray):
