@@ -202,6 +202,8 @@ def definition(function: Callable[..., Any]) -> Definition:
             "load the module again (importlib.reload), or start Python again",
         ).locate(code.co_filename, code.co_firstlineno, 1)
     hint = "kernels must stand in a file: the compiler reads their text"
+    if code.co_filename == "<string>":  # the name that exec gives
+        hint += "; for exec, compile the text under a name of its own and register it in linecache"
     if code.co_filename == "<stdin>":
         hint = "Python keeps no text of a program from a pipe: save it in a file, and run that"
     if code.co_filename.startswith("<timed"):  # what IPython calls cells below %%time and %%timeit
