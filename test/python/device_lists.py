@@ -53,6 +53,7 @@ ONE_RUN_DOES = {
         "test_code_of_huge_blocks_is_in_parts": CPU,
         "test_huge_loops_call_a_function_once_for_each_call": CPU,
     },
+    "test_launch_sequences": {ALL: CHOOSES},
     "test_linear_solvers": {
         "test_incomplete_cholesky": CPU,
         "test_matrices_without_an_incomplete_factor": CPU,
