@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "ExplainPasses.h"
+#include "PassStatistics.h"
 #include "common/OutputFile.h"
 #include "common/Upstream.h"
 #include "mlir/IR/DialectRegistry.h"
@@ -25,13 +26,15 @@
 
 using namespace mlir;
 
-/// Does the work of MlirOptMain, and reports the effects of each pass.
-static LogicalResult runExplained(StringRef input, StringRef output,
-                                  DialectRegistry &registry) {
+/// Does the work of MlirOptMain, with a manager of passes that `observe` has
+/// seen.
+static LogicalResult
+runObserved(StringRef input, StringRef output, DialectRegistry &registry,
+            llvm::function_ref<void(PassManager &)> observe) {
   MlirOptMainConfig given = MlirOptMainConfig::createFromCLOptions();
   MlirOptMainConfig config = given;
-  config.setPassPipelineSetupFn([given](PassManager &manager) {
-    tai::explainPasses(manager);
+  config.setPassPipelineSetupFn([given, observe](PassManager &manager) {
+    observe(manager);
     return given.setupPassPipeline(manager);
   });
   std::string reason;
@@ -64,7 +67,19 @@ int main(int argc, char **argv) {
     auto [input, output] = registerAndParseCLIOptions(
         argc, argv, "tai optimizer driver\n", registry);
     if (explain)
-      return runExplained(input, output, registry);
+      return runObserved(input, output, registry, tai::explainPasses);
+    // Upstream's report is empty: its counters are compiled out.
+    if (llvm::cl::Option *option =
+            llvm::cl::getRegisteredOptions().lookup("mlir-pass-statistics");
+        option && option->getNumOccurrences()) {
+      tai::PassStatistics statistics;
+      LogicalResult result =
+          runObserved(input, output, registry, [&](PassManager &manager) {
+            statistics.observe(manager);
+          });
+      statistics.print(llvm::errs());
+      return result;
+    }
     return MlirOptMain(argc, argv, input, output, registry);
   });
 }

@@ -289,47 +289,49 @@ static void passRecords(Traces &traces, FunctionOpInterface shell) {
     record = body.addArgument(record.getType(), record.getLoc());
 }
 
-/// Refuses a derivative whose traces take more bytes than the function allows.
-/// The size of a trace is a constant if all trip counts are.
-static LogicalResult checkTraceBytes(FunctionOpInterface function,
-                                     FunctionOpInterface target,
-                                     ArrayRef<Operation *> reads) {
+/// The bytes that a derivative may take for copies and records, and those that
+/// it takes; none if the size of a record depends on the arguments.
+struct TraceBudget {
+  uint64_t limit = 0;
+  std::optional<uint64_t> taken = 0;
+
+  bool isExceeded() const { return !taken || *taken > limit; }
+};
+
+/// Returns the budget of `function`, whose traces are in `target`. The size of
+/// a trace is a constant if all trip counts are.
+static std::optional<TraceBudget> getTraceBudget(FunctionOpInterface function,
+                                                 FunctionOpInterface target) {
   auto limit =
       getOriginal(function)->getAttrOfType<IntegerAttr>("tai.trace_bytes");
   if (!limit)
-    return success();
-  uint64_t bytes = 0;
-  bool isKnown = true;
+    return std::nullopt;
+  TraceBudget budget{limit.getValue().getZExtValue()};
   target.walk([&](memref::AllocOp array) {
-    MemRefType type = array.getType();
-    uint64_t size = type.getElementType().isIndex()
-                        ? 8
-                        : (type.getElementTypeBitWidth() + 7) / 8;
-    for (int64_t extent : type.getShape())
-      if (!ShapedType::isDynamic(extent))
-        size *= extent;
-    for (Value extent : array.getDynamicSizes()) {
-      APInt constant;
-      if (matchPattern(extent, m_ConstantInt(&constant)))
-        size *= constant.getZExtValue();
-      else
-        isKnown = false;
-    }
-    bytes += size;
+    std::optional<uint64_t> bytes = getAllocatedBytes(array);
+    if (budget.taken && bytes)
+      *budget.taken += *bytes;
+    else
+      budget.taken.reset();
   });
-  if (isKnown && bytes <= limit.getValue().getZExtValue())
-    return success();
+  return budget;
+}
+
+/// Refuses a derivative whose traces take more bytes than the function allows.
+static LogicalResult refuseTraces(FunctionOpInterface function,
+                                  const TraceBudget &budget,
+                                  ArrayRef<Location> reads) {
   InFlightDiagnostic diag = function.emitError("cannot differentiate '@")
                             << getOriginal(function).getName()
-                            << "' within 'tai.trace_bytes' of "
-                            << limit.getValue().getZExtValue() << ": ";
-  if (isKnown)
-    diag << "the copies and records of the derivative take " << bytes
+                            << "' within 'tai.trace_bytes' of " << budget.limit
+                            << ": ";
+  if (budget.taken)
+    diag << "the copies and records of the derivative take " << *budget.taken
          << " bytes";
   else
     diag << "the size of a record depends on the arguments";
-  for (Operation *read : reads)
-    diag.attachNote(read->getLoc())
+  for (Location read : reads)
+    diag.attachNote(read)
         << "the value read here is recorded, because it is overwritten; a "
            "store to another array keeps it";
   return diag;
@@ -372,10 +374,16 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
     local.toRecord = &missing;
     local.recordsAll = recordsAll || !numbers.empty();
     SmallVector<int64_t> before;
+    SmallVector<Location> places;
+    for (Operation *read : reads)
+      places.push_back(read->getLoc());
+    SmallVector<Value> arrays;
+    std::optional<TraceBudget> budget;
     if (augmented) {
       Traces traces = recordReads(copy, augmented, reads, TraceMode::Augmented);
-      if (failed(checkTraceBytes(function, augmented, reads)))
-        return failure();
+      budget = getTraceBudget(function, augmented);
+      if (budget && budget->isExceeded())
+        return refuseTraces(function, *budget, places);
       passRecords(traces, shell);
       local.recorded = std::move(traces.recorded);
       local.records = std::move(traces.arrays);
@@ -383,8 +391,11 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
       if (failed(checkRunsAgain(copy)))
         return failure();
       Traces traces = recordReads(copy, shell, reads);
-      if (failed(checkTraceBytes(function, shell, reads)))
-        return failure();
+      budget = getTraceBudget(function, shell);
+      if (budget && !budget->taken)
+        return refuseTraces(function, *budget, places);
+      for (auto &[argument, array] : traces.arrays)
+        arrays.push_back(array);
       local.recorded = std::move(traces.recorded);
       local.records = std::move(traces.arrays);
       before = std::move(traces.before);
@@ -411,6 +422,9 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
     };
     if (succeeded(filled)) {
       report();
+      if (budget && budget->isExceeded() &&
+          failed(divideTraces(shell, arrays, budget->limit)))
+        return refuseTraces(function, *budget, places);
       if (!before.empty())
         shell->setAttr("tai.reads_before",
                        DenseI64ArrayAttr::get(function->getContext(), before));

@@ -71,3 +71,81 @@ func.func @keeps(%x: memref<10xf64>, %y: memref<10xf64>) attributes {tai.differe
   }
   return
 }
+
+// -----
+
+// 20 steps whose records take 1280 bytes, in 800 bytes: the array is kept at the start of each of 3 segments of at most 7
+// steps, and each segment runs again with records of its own, from the last one to the first one.
+// CHECK-LABEL: func.func @divided_grad(
+//  CHECK-SAME:     %[[X:.+]]: memref<10xf64>, %[[DX:.+]]: memref<10xf64>)
+//       CHECK:   %[[COPY:.+]] = memref.alloc() : memref<10xf64>
+//  CHECK-NEXT:   memref.copy %[[X]], %[[COPY]]
+//       CHECK:   %[[TRACE:.+]] = memref.alloc() : memref<56xf64>
+//  CHECK-NEXT:   %[[KEPT:.+]] = memref.alloc() : memref<3x10xf64>
+//  CHECK-NEXT:   scf.for
+//  CHECK-NEXT:     scf.for
+//  CHECK-NEXT:       memref.load %[[COPY]]
+//  CHECK-NEXT:       memref.store %{{.+}}, %[[KEPT]]
+//   CHECK-NOT:     memref.store %{{.+}}, %[[TRACE]]
+//       CHECK:     %[[LAST:.+]] = arith.subi
+//  CHECK-NEXT:     scf.for
+//  CHECK-NEXT:       memref.load %[[KEPT]][%[[LAST]]
+//  CHECK-NEXT:       memref.store %{{.+}}, %[[COPY]]
+//       CHECK:     memref.store %{{.+}}, %[[TRACE]]
+//       CHECK:     memref.load %[[TRACE]]
+//       CHECK:   memref.dealloc %[[COPY]]
+//       CHECK:   memref.dealloc %[[KEPT]]
+// expected-warning @+2 {{'@divided_grad' runs '@divided' again}}
+// expected-note @+1 {{this concerns the arguments at the positions 0}}
+func.func @divided(%x: memref<10xf64>) attributes {tai.differentiate, tai.trace_bytes = 800 : i64} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c8 = arith.constant 8 : index
+  %c20 = arith.constant 20 : index
+  scf.for %s = %c0 to %c20 step %c1 {
+    scf.for %i = %c0 to %c8 step %c1 {
+      %a = memref.load %x[%i] : memref<10xf64>
+      %b = arith.mulf %a, %a : f64
+      memref.store %b, %x[%i] : memref<10xf64>
+    }
+  }
+  return
+}
+
+// -----
+
+// No segments, since an array that the loop reads changes after the loop.
+// expected-error @+1 {{cannot differentiate '@changed' within 'tai.trace_bytes' of 1000}}
+func.func @changed(%x: memref<10xf64>) attributes {tai.differentiate, tai.trace_bytes = 1000 : i64} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c8 = arith.constant 8 : index
+  %c20 = arith.constant 20 : index
+  %w = memref.alloc() : memref<10xf64>
+  scf.for %i = %c0 to %c8 step %c1 {
+    %a = memref.load %x[%i] : memref<10xf64>
+    memref.store %a, %w[%i] : memref<10xf64>
+  }
+  scf.for %s = %c0 to %c20 step %c1 {
+    scf.for %i = %c0 to %c8 step %c1 {
+      // expected-note @+1 {{the value read here is recorded}}
+      %a = memref.load %x[%i] : memref<10xf64>
+      // expected-note @+1 {{the value read here is recorded}}
+      %v = memref.load %w[%i] : memref<10xf64>
+      %b = arith.mulf %a, %v : f64
+      memref.store %b, %x[%i] : memref<10xf64>
+    }
+  }
+  scf.for %i = %c0 to %c8 step %c1 {
+    %a = memref.load %x[%i] : memref<10xf64>
+    memref.store %a, %w[%i] : memref<10xf64>
+  }
+  scf.for %i = %c0 to %c8 step %c1 {
+    // expected-note @+1 {{the value read here is recorded}}
+    %a = memref.load %w[%i] : memref<10xf64>
+    %b = arith.mulf %a, %a : f64
+    memref.store %b, %x[%i] : memref<10xf64>
+  }
+  memref.dealloc %w : memref<10xf64>
+  return
+}

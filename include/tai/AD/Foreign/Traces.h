@@ -21,6 +21,7 @@
 #ifndef TAI_AD_FOREIGN_TRACES_H
 #define TAI_AD_FOREIGN_TRACES_H
 
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "llvm/ADT/DenseMap.h"
 
@@ -55,6 +56,16 @@ enum class TraceMode {
 Traces recordReads(FunctionOpInterface primal, FunctionOpInterface target,
                    ArrayRef<Operation *> reads,
                    TraceMode mode = TraceMode::Rerun);
+
+/// The bytes of an array, or none if its size is no constant.
+std::optional<uint64_t> getAllocatedBytes(memref::AllocOp array);
+
+/// Divides the loop of `gradient` with most records into segments. The second
+/// execution keeps the arrays at the start of each, and the reverse sweep runs
+/// one segment after the other again, so that `traces`, and the copies, take at
+/// most `limit` bytes. Fails, and changes nothing, if this cannot be.
+LogicalResult divideTraces(FunctionOpInterface gradient, ArrayRef<Value> traces,
+                           uint64_t limit);
 
 } // namespace mlir::tai
 
