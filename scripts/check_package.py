@@ -3,7 +3,8 @@
     scripts/check_package.py PREFIX [--only host ...] [--folder FOLDER] [--compiler clang-22]
 
 PREFIX is an installation, the build folder, or the portable bundle. The bundle has the C API alone:
-of the projects in C++ it must say in one line that they need an installation.
+of the projects in C++ it must say in one line that they need an installation. The projects are
+copied out of this tree, and built with an environment that has a path of programs and nothing else.
 """
 
 from __future__ import annotations
@@ -29,8 +30,26 @@ class Failed(Exception):
     pass
 
 
+def make_environment(folder: Path, compiler: str) -> dict[str, str]:
+    """An environment as in a bare system: the folders of the programs that are needed."""
+    system = "/usr/bin:/bin"
+    found = [
+        shutil.which(name, path=system) or shutil.which(name)
+        for name in ("cmake", "ninja", "pkg-config", compiler)
+    ]
+    places = [str(Path(name).parent) for name in found if name] + ["/usr/bin", "/bin"]
+    # A program in the folder of a user may need that folder.
+    is_plain = set(places) <= {"/usr/bin", "/bin"}
+    home = str(folder) if is_plain else os.environ.get("HOME", str(folder))
+    return {"PATH": ":".join(dict.fromkeys(places)), "HOME": home, "LANG": "C.UTF-8"}
+
+
+ENVIRONMENT: dict[str, str] = {}
+
+
 def run(*words: object, text: str | None = None, must: bool = True, **options: object) -> str:
     """The output of a command; its errors too if it may fail."""
+    options.setdefault("env", ENVIRONMENT)
     done = subprocess.run(
         [str(word) for word in words], text=True, input=text, capture_output=True, **options
     )  # type: ignore[call-overload]
@@ -72,10 +91,13 @@ class Package:
 
     def configure(self, project: Project, must: bool = True) -> str:
         build = self.folder / project.source.name
-        shutil.rmtree(build, ignore_errors=True)
+        source = self.folder / f"{project.source.name}-source"
+        for path in (build, source):
+            shutil.rmtree(path, ignore_errors=True)
+        shutil.copytree(project.source, source)
         cxx = self.compiler.replace("clang", "clang++").replace("gcc", "g++")
         return run(
-            "cmake", "-G", "Ninja", "-S", project.source, "-B", build, f"-DTai_DIR={self.config}",
+            "cmake", "-G", "Ninja", "-S", source, "-B", build, f"-DTai_DIR={self.config}",
             f"-DCMAKE_C_COMPILER={self.compiler}", f"-DCMAKE_CXX_COMPILER={cxx}",
             "-DCMAKE_CXX_FLAGS=-O0", must=must,
         )  # fmt: skip
@@ -98,13 +120,13 @@ def check_host(package: Package, build: Path) -> None:
     program = build / "by-pkg-config"
     run(package.compiler, INPUTS / "host/host.c", "-o", program, *flags, "-lm")
     places = [flag[2:] for flag in flags if flag.startswith("-L")]
-    run(program, env={**os.environ, "LD_LIBRARY_PATH": ":".join(places)})
+    run(program, env={**ENVIRONMENT, "LD_LIBRARY_PATH": ":".join(places)})
 
 
 def pkg_config(package: Package, name: str, prefix: Path) -> list[str]:
     assert package.config
     folder = package.config.parents[1] / "pkgconfig"
-    environment = {**os.environ, "PKG_CONFIG_PATH": str(folder)}
+    environment = {**ENVIRONMENT, "PKG_CONFIG_PATH": str(folder)}
     return run("pkg-config", "--cflags", "--libs", name, env=environment).split()
 
 
@@ -170,7 +192,10 @@ def main() -> int:
         sys.exit(f"check_package: {', '.join(unknown)} of examples/ is not checked here")
     with tempfile.TemporaryDirectory(prefix="tai-package-") as temporary:
         try:
-            package = Package(args.prefix, args.folder or Path(temporary), args.compiler)
+            folder = args.folder or Path(temporary)
+            folder.mkdir(parents=True, exist_ok=True)
+            ENVIRONMENT.update(make_environment(folder.resolve(), args.compiler))
+            package = Package(args.prefix, folder, args.compiler)
             for name in args.only or PROJECTS:
                 print(package.check(name, PROJECTS[name]), flush=True)
         except Failed as failure:

@@ -15,6 +15,7 @@
 #include "mlir/Dialect/Complex/IR/Complex.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/Transforms/Patterns.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/Transforms/DialectConversion.h"
@@ -80,6 +81,95 @@ static void splitSelects(func::FuncOp function) {
   }
 }
 
+static bool isComplexArray(Value value) {
+  auto type = dyn_cast<MemRefType>(value.getType());
+  return type && isa<ComplexType>(type.getElementType()) &&
+         isa_and_present<memref::AllocOp, memref::AllocaOp>(
+             value.getDefiningOp());
+}
+
+bool mlir::tai::hasComplexArrays(func::FuncOp function) {
+  return function
+      .walk([](Operation *op) {
+        return op->getNumResults() == 1 && isComplexArray(op->getResult(0))
+                   ? WalkResult::interrupt()
+                   : WalkResult::advance();
+      })
+      .wasInterrupted();
+}
+
+/// True if all accesses of an array are those that `splitArrays` knows.
+static bool canSplit(Value array) {
+  return llvm::all_of(array.getUsers(), [&](Operation *user) {
+    if (auto copy = dyn_cast<memref::CopyOp>(user))
+      return isComplexArray(copy.getSource()) &&
+             isComplexArray(copy.getTarget());
+    return isa<memref::LoadOp, memref::StoreOp, memref::DeallocOp,
+               memref::DimOp>(user);
+  });
+}
+
+/// Replaces each array of complex numbers that the function makes by one of
+/// real and one of imaginary parts.
+static void splitArrays(func::FuncOp function) {
+  SmallVector<Operation *> makers;
+  bool canAll = true;
+  function.walk([&](Operation *op) {
+    if (op->getNumResults() == 1 && isComplexArray(op->getResult(0))) {
+      makers.push_back(op);
+      canAll &= canSplit(op->getResult(0));
+    }
+  });
+  if (!canAll)
+    return;
+  DenseMap<Value, std::array<Value, 2>> parts;
+  for (Operation *op : makers) {
+    OpBuilder b(op);
+    Value array = op->getResult(0);
+    auto type = cast<MemRefType>(array.getType());
+    auto element = cast<ComplexType>(type.getElementType()).getElementType();
+    for (Value &part : parts[array]) {
+      Operation *made = b.clone(*op);
+      made->getResult(0).setType(
+          MemRefType::Builder(type).setElementType(element));
+      part = made->getResult(0);
+    }
+  }
+  for (Operation *maker : makers) {
+    Value array = maker->getResult(0);
+    std::array<Value, 2> split = parts[array];
+    for (Operation *user : llvm::make_early_inc_range(array.getUsers())) {
+      ImplicitLocOpBuilder b(user->getLoc(), user);
+      if (auto load = dyn_cast<memref::LoadOp>(user)) {
+        Value made = complex::CreateOp::create(
+            b, load.getType(),
+            memref::LoadOp::create(b, split[0], load.getIndices()),
+            memref::LoadOp::create(b, split[1], load.getIndices()));
+        load.replaceAllUsesWith(made);
+      } else if (auto store = dyn_cast<memref::StoreOp>(user)) {
+        Value value = store.getValueToStore();
+        memref::StoreOp::create(b, complex::ReOp::create(b, value), split[0],
+                                store.getIndices());
+        memref::StoreOp::create(b, complex::ImOp::create(b, value), split[1],
+                                store.getIndices());
+      } else if (auto copy = dyn_cast<memref::CopyOp>(user)) {
+        for (int part : {0, 1})
+          memref::CopyOp::create(b, parts[copy.getSource()][part],
+                                 parts[copy.getTarget()][part]);
+      } else if (auto size = dyn_cast<memref::DimOp>(user)) {
+        size.getSourceMutable().assign(split[0]);
+        continue;
+      } else {
+        for (Value part : split)
+          memref::DeallocOp::create(b, part);
+      }
+      user->erase();
+    }
+  }
+  for (Operation *maker : makers)
+    maker->erase();
+}
+
 LogicalResult mlir::tai::splitComplex(func::FuncOp function) {
   bool any = false;
   function.walk([&](Operation *op) {
@@ -87,6 +177,7 @@ LogicalResult mlir::tai::splitComplex(func::FuncOp function) {
   });
   if (!any)
     return success();
+  splitArrays(function);
   if (failed(splitCarried(function)))
     return failure();
   splitSelects(function);

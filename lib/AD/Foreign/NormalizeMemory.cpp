@@ -47,6 +47,10 @@ MutableOperandRange getIndices(Operation *op) {
 }
 
 bool isView(Operation *op) {
+  if (auto view = dyn_cast_if_present<memref::ReshapeOp>(op)) {
+    auto type = dyn_cast<MemRefType>(view.getType());
+    return type && type.hasStaticShape();
+  }
   return isa_and_present<memref::CastOp, memref::SubViewOp,
                          memref::ExpandShapeOp, memref::CollapseShapeOp,
                          memref::TransposeOp, memref::ReinterpretCastOp,
@@ -179,6 +183,11 @@ LogicalResult Elements::step(Value &array, SmallVector<Value> &indices) {
     if (view.getReassociationIndices().empty())
       moved.resize(cast<MemRefType>(source.getType()).getRank(),
                    toValue(b.getIndexAttr(0)));
+  } else if (isa<memref::ReshapeOp>(op)) {
+    auto type = dyn_cast<MemRefType>(source.getType());
+    if (!type || !type.getLayout().isIdentity())
+      return failure();
+    delinearize(linearize(indices, getSizes(array)), getSizes(source), moved);
   } else if (auto view = dyn_cast<memref::TransposeOp>(op)) {
     moved.resize(indices.size());
     for (auto [i, index] : llvm::enumerate(indices))

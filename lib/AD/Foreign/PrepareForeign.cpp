@@ -399,10 +399,9 @@ static LogicalResult passMemory(func::FuncOp function) {
     return function.emitError("there is nothing to differentiate: this "
                               "function takes or returns no tensor of floats");
   for (Type type : function.getResultTypes())
-    if (auto tensor = dyn_cast<TensorType>(type);
-        tensor && (!tensor.hasRank() || !hasFloats(type)))
+    if (auto tensor = dyn_cast<TensorType>(type); tensor && !tensor.hasRank())
       return function.emitError("cannot differentiate a function that returns ")
-             << type << "; expects tensors of floats with a rank";
+             << type << "; expects tensors with a rank";
   ImplicitLocOpBuilder b(function.getLoc(), function.getContext());
   Block &block = function.getBody().front();
   for (BlockArgument argument : block.getArguments()) {
@@ -762,6 +761,14 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
     });
     if (failed(decomposeOps(copy)) || (hasTensors && failed(bufferize(copy))))
       return failure();
+    if (hasComplexArrays(copy)) {
+      // Accesses of such arrays are split below, and so must be loads and
+      // stores.
+      OpPassManager early(func::FuncOp::getOperationName());
+      addLowering(early);
+      if (failed(runPipeline(early, copy)))
+        return failure();
+    }
     if (failed(splitComplex(copy)) || failed(promoteSlots(copy)))
       return failure();
     lowerLoops(copy);
@@ -772,6 +779,7 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
     lowerSwitches(copy);
     if (failed(lowerVectors(copy)))
       return failure();
+    keepMadeArrays(copy, hasTensors);
     OpPassManager cleaning(func::FuncOp::getOperationName());
     addCleaning(cleaning);
     if (failed(runPipeline(cleaning, copy)) || failed(normalizeMemory(copy)))

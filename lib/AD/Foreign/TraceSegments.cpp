@@ -83,7 +83,7 @@ static Value getArray(Value value) {
 }
 
 namespace {
-/// The loop that records, the loop that takes the records, and what they share.
+/// The loop with records, the loop that takes them, and the arrays of both.
 struct Segmented {
   scf::ForOp forward, reverse;
   int64_t trips = 0;
@@ -219,8 +219,8 @@ bool Segmenter::findState() {
     found.state.insert(array);
     found.read.insert(array);
   }
-  // After the loop, nothing may change what it only reads. The reverse sweep
-  // may not read what it changes.
+  // After the loop, nothing may change an array that it only reads. The reverse
+  // sweep may not read an array that it changes.
   for (Value array : found.read) {
     SmallVector<Value> views{array};
     while (!views.empty()) {

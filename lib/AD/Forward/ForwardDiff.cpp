@@ -121,10 +121,23 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
       return failure();
     bool isPlain = isa<func::FuncOp>(function.getOperation());
     StringAttr gradients = getFunctionAttrName(function, kGradients);
-    if (isPlain && function->hasAttr(gradients))
-      return function.emitError("forward mode has no tangents of arguments and "
-                                "results by position, as '")
-             << gradients.strref() << "' asks for";
+    AdjointSignature signature;
+    SmallVector<int64_t> positions;
+    bool namesNumbers = isPlain && function->hasAttr(gradients);
+    if (namesNumbers) {
+      FailureOr<AdjointSignature> given =
+          AdjointSignature::get(function, /*arrays=*/true);
+      if (failed(given))
+        return failure();
+      signature = *given;
+      positions.append(signature.arguments.begin(), signature.arguments.end());
+      for (unsigned position : signature.results)
+        positions.push_back(function.getNumArguments() + position);
+      for (Type type : function.getResultTypes())
+        if (isa<BaseMemRefType>(type))
+          return function.emitError(
+              "cannot differentiate a function that returns an array");
+    }
     if (failed(checkHasOneBlock(function)))
       return failure();
     if (failed(Conventions::verify(function)) || failed(checkGuards(function)))
@@ -151,12 +164,16 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
                                 "tai.differentiate", "summary"})
       made->removeAttr(attribute);
     symbols.insert(made, std::next(function->getIterator()));
+    if (namesNumbers) {
+      made->removeAttr(gradients);
+      passNumbers(cast<func::FuncOp>(made.getOperation()), signature);
+    }
     if (failed(extend(made))) {
       symbols.erase(made);
       return failure();
     }
     if (isPlain && !isWrapped(function) &&
-        failed(checkHasDerivative(function, {}))) {
+        failed(checkHasDerivative(function, positions))) {
       symbols.erase(made);
       return failure();
     }
@@ -166,6 +183,10 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
       if (isWrapped(function)) {
         symbols.remove(plain);
         plain = wrapDerivative(from, plain, /*isForward=*/true);
+        symbols.insert(plain);
+      } else if (namesNumbers) {
+        symbols.remove(plain);
+        plain = wrapNumbers(from, plain, signature);
         symbols.insert(plain);
       }
       takeInterface(from, plain);

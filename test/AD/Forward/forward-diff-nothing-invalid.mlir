@@ -9,11 +9,30 @@ func.func @f(%x: f64) -> f64 attributes {tai.differentiate} {
 
 // -----
 
-// expected-error @+1 {{forward mode has no tangents of arguments and results by position, as 'tai.gradients' asks for}}
+// expected-error @+2 {{there is nothing to differentiate: '@f' writes no array of floats}}
+// expected-note @+1 {{name arguments and results}}
 func.func @f(%x: f64, %y: memref<f64>)
-    attributes {tai.differentiate, tai.gradients = array<i64: 0, 1>} {
+    attributes {tai.differentiate, tai.gradients = array<i64: 0>} {
   memref.store %x, %y[] : memref<f64>
   return
+}
+
+// -----
+
+// expected-error @+1 {{cannot differentiate by position 2: there are 2 arguments and 0 results}}
+func.func @f(%x: f64, %y: memref<f64>)
+    attributes {tai.differentiate, tai.gradients = array<i64: 0, 2>} {
+  memref.store %x, %y[] : memref<f64>
+  return
+}
+
+// -----
+
+// expected-error @+1 {{cannot differentiate a function that returns an array}}
+func.func @f(%x: f64, %y: memref<f64>) -> memref<f64>
+    attributes {tai.differentiate, tai.gradients = array<i64: 0, 1>} {
+  memref.store %x, %y[] : memref<f64>
+  return %y : memref<f64>
 }
 
 // -----

@@ -18,6 +18,7 @@
 #include "tai/Analysis/HelpfulPasses.h"
 
 namespace mlir::tai {
+struct AdjointSignature;
 
 /// The function to which the derivative of `function` belongs: the original of
 /// a prepared copy, and otherwise `function` itself.
@@ -40,6 +41,16 @@ bool isWrapped(FunctionOpInterface prepared);
 func::FuncOp wrapDerivative(func::FuncOp original, func::FuncOp derivative,
                             bool isForward);
 
+/// Gives a function memory in place of the numbers that `signature` names among
+/// its arguments, and in place of its results: forward mode gives memory
+/// tangents.
+void passNumbers(func::FuncOp function, const AdjointSignature &signature);
+/// Wraps the derivative of such a function in one that takes the arguments of
+/// the original and a tangent of each that is named, and returns the results
+/// and the tangent of each that is named.
+func::FuncOp wrapNumbers(func::FuncOp original, func::FuncOp derivative,
+                         const AdjointSignature &signature);
+
 /// Gives a derivative the visibility and the C interface of the differentiated
 /// function.
 void takeInterface(func::FuncOp original, func::FuncOp derivative);
@@ -52,10 +63,18 @@ LogicalResult lowerVectors(func::FuncOp function);
 /// by loops that count from zero, and those of `gpu.launch` by `scf.parallel`.
 void lowerLoops(func::FuncOp function);
 
-/// Replaces complex numbers by their real and imaginary parts.
+/// True if the function makes arrays of complex numbers.
+bool hasComplexArrays(func::FuncOp function);
+/// Replaces complex numbers, and arrays of them that the function makes, by
+/// their real and imaginary parts.
 LogicalResult splitComplex(func::FuncOp function);
 /// Replaces arithmetic of the LLVM dialect by ops of arith and math.
 void liftArithmetic(func::FuncOp function);
+
+/// Makes one array before each loop or branch that carries or yields arrays
+/// made inside of it, and copies these to it. An array that is written is one
+/// of these only if `areTensors`: then nobody else reads its old contents.
+void keepMadeArrays(func::FuncOp function, bool areTensors);
 
 /// Reduces memory operations to loads, stores and atomic updates of arguments
 /// and of local arrays: removes copies, views, and arrays that loops carry or
