@@ -21,7 +21,9 @@ func.func @carried(%x: memref<4xf64>, %y: memref<4xf64>) attributes {tai.differe
     memref.store %0, %b[%c0] : memref<4xf64>
     scf.yield %b : memref<4xf64>
   }
+  // The array that the loop hands on is written: it may be that of the caller.
   %1 = memref.load %r[%c0] : memref<4xf64>
+  memref.store %1, %r[%c1] : memref<4xf64>
   memref.store %1, %y[%c0] : memref<4xf64>
   return
 }

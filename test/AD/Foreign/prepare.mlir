@@ -73,3 +73,29 @@ func.func @tensors(%x: tensor<4xf64>) -> f64 attributes {tai.differentiate} {
   cf.assert %true, "never"
   return %a : f64
 }
+
+// -----
+
+// An array that each iteration makes is copied to one from before the loop.
+// CHECK-LABEL: func.func @carried_prepared(
+//       CHECK:   %[[KEPT:.+]] = memref.alloc() : memref<4xf64>
+//       CHECK:   scf.for
+//       CHECK:     %[[OWN:.+]] = memref.alloc() : memref<4xf64>
+//       CHECK:     memref.load %[[KEPT]]
+//       CHECK:     memref.load %[[OWN]]
+//       CHECK:     memref.store %{{.+}}, %[[KEPT]]
+//       CHECK:   memref.load %[[KEPT]]
+func.func @carried(%x: memref<4xf64>, %y: memref<4xf64>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c4 = arith.constant 4 : index
+  %r = scf.for %i = %c0 to %c4 step %c1 iter_args(%a = %x) -> memref<4xf64> {
+    %b = memref.alloc() : memref<4xf64>
+    %0 = memref.load %a[%c0] : memref<4xf64>
+    memref.store %0, %b[%c0] : memref<4xf64>
+    scf.yield %b : memref<4xf64>
+  }
+  %1 = memref.load %r[%c0] : memref<4xf64>
+  memref.store %1, %y[%c0] : memref<4xf64>
+  return
+}
