@@ -1,6 +1,7 @@
 """An error in a program is reported at its line, with a caret and a hint."""
 
 import inspect
+import traceback
 
 import numpy as np
 import pytest
@@ -246,6 +247,19 @@ def test_source_that_is_not_at_hand():
     exec("def f():\n    pass\nk = ti.kernel(f)", space)
     with pytest.raises(ti.TaiSyntaxError, match="(?s)cannot be read.*register it in linecache"):
         space["k"]()
+
+
+def test_tracebacks_suggest_a_name_once():
+    v = ti.Vector.field(2, ti.f32, shape=())
+
+    @ti.kernel
+    def kernel() -> ti.f32:
+        return v[None].norm_sq()
+
+    with pytest.raises(ti.TaiTypeError) as caught:
+        kernel()
+    shown = "".join(traceback.format_exception(caught.value))
+    assert shown.lower().count("did you mean") == 1
 
 
 # Fields and layouts

@@ -205,7 +205,8 @@ class Calls(Part):
                 if function is range:
                     raise TaiSyntaxError(
                         "this range is known only when the kernel runs",
-                        "write it after 'in' of a for loop, without ti.static",
+                        "write it after 'in' of a for loop, without ti.static: lists and "
+                        "comprehensions have a length that is known when the kernel is compiled",
                     )
                 if function in (int, float, bool):
                     return self._convert(function, args)

@@ -22,6 +22,8 @@ class NoAttribute(TaiTypeError, AttributeError):
 
     # As tracebacks name it: the public class.
     __module__, __qualname__ = TaiTypeError.__module__, TaiTypeError.__qualname__
+    # Tracebacks of Python 3.13 would add a suggestion of their own behind the hint.
+    name = None
 
 
 class Value:
