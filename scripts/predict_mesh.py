@@ -29,6 +29,18 @@ class Program(NamedTuple):
     jitter: float = 0.0  # the part of its computing that every second rank takes longer
 
 
+# Programs of benchmarks/gpu/mesh_gpus.py, forward and backward, with the rows and bytes of a step:
+# each exchange has an adjoint of the same size. The bytes of a row are averages over exchanges.
+SCENES = {
+    # A step of a wave of 16384² points reads one row.
+    "wave": {"rows": 16384, "row_bytes": 4 * 16384, "exchanges": 2, "reductions": 1},
+    # Smoke of 8192² cells reads 4 rows of 12 bytes, and 12 times one row of 4 or 8 bytes.
+    "smoke": {"rows": 8192, "row_bytes": 8192 * 100 / 13, "exchanges": 26, "reductions": 1},
+    # 16 Mi particles on 1440 columns exchange 3 rows of 12 and of 8 bytes.
+    "mpm": {"rows": 1440, "row_bytes": 1440 * 10, "halo": 3, "exchanges": 4, "reductions": 1},
+}
+
+
 class Link(NamedTuple):
     """A link between two ranks: seconds to the first byte, and bytes in a second."""
 
@@ -76,9 +88,10 @@ def table(program: Program, link: Link, most: int) -> list[tuple[int, float, flo
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
-    add("--rows", type=int, required=True, help="rows along the sharded axis")
+    add("--scene", choices=SCENES, help="a scene, in place of rows, bytes and exchanges")
+    add("--rows", type=int, help="rows along the sharded axis")
     add("--row-seconds", type=float, required=True, help="of one process, for a row in a step")
-    add("--row-bytes", type=float, required=True, help="bytes of a row that a halo carries")
+    add("--row-bytes", type=float, help="bytes of a row that a halo carries")
     add("--latency", type=float, required=True, help="seconds until a message arrives")
     add("--bandwidth", type=float, required=True, help="bytes in a second")
     add("--halo", type=int, default=1, help="rows that a step reads on each side (1)")
@@ -88,6 +101,9 @@ def main() -> None:
     add("--jitter", type=float, default=0.0, help="the part by which every second rank is slower")
     add("--ranks", type=int, default=1024, help="the largest number of ranks (1024)")
     given = vars(parser.parse_args())
+    given.update(SCENES.get(given.pop("scene"), {}))
+    if given["rows"] is None or given["row_bytes"] is None:
+        parser.error("a scene, or rows and bytes, are needed")
     link = Link(given.pop("latency"), given.pop("bandwidth"))
     most = given.pop("ranks")
     print("a prediction, not a measurement")

@@ -26,13 +26,16 @@ extern "C" {
 /// an integer, or minus the bits of a float; -17 stands for bf16. Dimension
 /// `rows`, if it is not negative, is divided among the ranks. `where` is the
 /// location of the access that needs the exchange, "file:line:col"; `kernel` is
-/// the name of the kernel that is launched.
+/// the name of the kernel that is launched. If `on_device` is not 0, `address` is
+/// memory of the GPU, which has done all earlier work; the handler returns when
+/// its own work there is done.
 typedef struct TaiExchange {
   const char *kind, *field, *kernel, *where;
   int64_t element, digest, block, before, after;
   void *address;
   int64_t num_dims, rows;
   const int64_t *extents, *strides;
+  int32_t on_device;
 } TaiExchange;
 
 /// Carries out an exchange, on the thread of the launch. Returns null, or the

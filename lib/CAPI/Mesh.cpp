@@ -7,7 +7,6 @@
 
 #include "tai-c/Mesh.h"
 #include "tai/Runtime/Launch/Mesh.h"
-#include "tai/Runtime/Storage/Halos.h"
 
 using namespace mlir::tai;
 
@@ -30,7 +29,8 @@ void taiSetMesh(int64_t rank, int64_t ranks, TaiExchangeHandler handler) {
                           static_cast<int64_t>(exchange.extents.size()),
                           exchange.rows,
                           exchange.extents.data(),
-                          exchange.strides.data()};
+                          exchange.strides.data(),
+                          exchange.isOnDevice};
       const char *message = handler(&told);
       return std::string(message ? message : "");
     };
@@ -38,4 +38,4 @@ void taiSetMesh(int64_t rank, int64_t ranks, TaiExchangeHandler handler) {
   runtime::setMesh(std::move(mesh));
 }
 
-int64_t taiMeshExchangesLeftOut(void) { return runtime::halos::numLeftOut(); }
+int64_t taiMeshExchangesLeftOut(void) { return runtime::numExchangesLeftOut(); }

@@ -22,9 +22,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   bool fast = options.optLevel > 0;
 
   addSourcePasses(pm, options);
-  ShardOptions shards;
-  shards.onDevice = true;
-  pm.addPass(createShard(shards));
+  pm.addPass(createShard());
 
   addPerFunction(pm, [&](OpPassManager &function) {
     if (fast) {

@@ -39,7 +39,7 @@ const char *exchange(const TaiExchange *told) {
              told->digest, told->block, told->before, told->after,
              reinterpret_cast<uintptr_t>(told->address), told->rows,
              toTuple(told->extents, told->num_dims),
-             toTuple(told->strides, told->num_dims));
+             toTuple(told->strides, told->num_dims), told->on_device != 0);
     return nullptr;
   } catch (py::error_already_set &error) {
     message = py::str(error.value());

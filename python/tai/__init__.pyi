@@ -28,6 +28,7 @@ from . import types as types
 from . import ui as ui
 from . import volumes as volumes
 from ._impl.ad.batch import batch as batch
+from ._impl.ad.ensemble import ensemble as ensemble
 from ._impl.ad.saved import export as export
 from ._impl.ad.solve import solve_to as solve_to
 from ._impl.base.log_level import is_logging_effective as is_logging_effective
@@ -45,6 +46,7 @@ from ._impl.fields.structs import StructType as _StructType
 from ._impl.interop.device_arrays import from_dlpack as from_dlpack
 from ._impl.interop.streams import let_stream_wait as let_stream_wait
 from ._impl.interop.streams import wait_for_stream as wait_for_stream
+from ._impl.solvers.particles import Particles as Particles
 from ._impl.values.types import MatrixType as _MatrixType
 from ._version import __version__ as __version__
 from .about import info as info
@@ -499,6 +501,7 @@ def loop_config(
     block_dim: int | None = None,
     serialize: bool = False,
     parallelize: int | None = None,
+    halo: int | str | None = None,
     **options: Any,
 ) -> None: ...
 def loop_unique(value: Any, covers: Any = None) -> Any: ...

@@ -36,7 +36,7 @@ PAGES = (
             "Fields": "field Field ScalarField MatrixField Struct StructField dataclass "
             "deactivate_all_snodes batch",
             "Layouts": "SNode FieldsBuilder Layout axes",
-            "Several processes": "mesh",
+            "Several processes": "mesh Particles ensemble",
             "Arrays": "ndarray Ndarray ScalarNdarray VectorNdarray MatrixNdarray",
             "Memory of other libraries": "from_dlpack wait_for_stream let_stream_wait",
             "Gradients to a given error": "solve_to",

@@ -16,6 +16,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Conversion/TaiToGPU/Offload.h"
+#include "tai/Dialect/Mesh/IR/Mesh.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/Support/CheckedArithmetic.h"
 
@@ -28,10 +29,11 @@ bool tai::isDeviceLoop(Operation *op) {
          !loop->getParentOfType<ParallelForOp>();
 }
 
-/// True for ops that request lists of active cells or refuse launches, which
-/// only the host can do.
+/// True for ops that request lists of active cells, refuse launches or
+/// communicate with other processes, which only the host can do.
 static bool isHostOp(Operation *op) {
-  return isa<ActiveCellsOp, ListIsCurrentOp, PreconditionOp>(op);
+  return isa<ActiveCellsOp, ListIsCurrentOp, PreconditionOp, tai::RankOp,
+             ExchangeOp>(op);
 }
 
 /// True if `op` contains a device loop or a host op.

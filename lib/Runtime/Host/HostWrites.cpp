@@ -8,7 +8,6 @@
 #include "tai/Runtime/Host/HostWrites.h"
 #include "tai/Runtime/Host/HostWrite.h"
 #include "tai/Runtime/Mirror/Slabs.h"
-#include "tai/Runtime/Storage/Halos.h"
 #include "tai/Runtime/Storage/Scalars.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
@@ -129,6 +128,15 @@ Status HostWrites::activateNonzero(Field &field, const void *array) {
   return Status::success();
 }
 
+void HostWrites::removeHalos(const Field &field) {
+  // A write of the host copies the tree from the device and back, with the
+  // halos of all of its fields, which the host's copy need not have.
+  if (devices.isThere())
+    halos.removeAll();
+  else
+    halos.remove(field.tree().base() + field.layout().placeOffset);
+}
+
 Status HostWrites::change(const HostWrite &write) {
   Field &field = *write.field;
   if (!field.valid())
@@ -148,7 +156,7 @@ Status HostWrites::change(const HostWrite &write) {
     free = recordings.checkActivity(field.tree());
   if (!free)
     return free;
-  halos::remove(field.tree().base() + field.layout().placeOffset);
+  removeHalos(field);
   Recorder *tape = recordings.current();
   if (tape && field.sparseNode())
     tape->watch(field.sharedTree());
@@ -261,7 +269,7 @@ Status HostWrites::noteOutside(Field &field) {
         StatusCode::Usage,
         "field '" + field.name() +
             "' is written from outside while a tape records");
-  halos::remove(field.tree().base() + field.layout().placeOffset);
+  removeHalos(field);
   field.countChange();
   field.markDirty();
   return Status::success();

@@ -14,24 +14,26 @@
 #include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/Mesh.h"
 #include "tai/Runtime/Launch/Runtime.h"
-#include "tai/Runtime/Storage/Halos.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include <algorithm>
+#include <atomic>
 
 using namespace mlir::tai::runtime;
 
+/// The mesh of the process, and the exchanges that it has left out.
 static Mesh ofProcess;
+static std::atomic<int64_t> leftOut{0};
 
-void mlir::tai::runtime::setMesh(Mesh mesh) {
-  ofProcess = std::move(mesh);
-  halos::removeAll();
-}
+void mlir::tai::runtime::setMesh(Mesh mesh) { ofProcess = std::move(mesh); }
+
+int64_t mlir::tai::runtime::numExchangesLeftOut() { return leftOut.load(); }
 
 /// By ExchangeKind of the dialect.
 static constexpr const char *kKinds[] = {"fetch", "clear",  "collect",
                                          "open",  "sum",    "min",
                                          "max",   "gather", "stale"};
 
-static constexpr size_t kFetch = 0, kClear = 1, kCollect = 2, kStale = 8;
+static constexpr size_t kFetch = 0, kStale = 8;
 
 /// True for launches of a reverse sweep or a replay, between which a tape may
 /// restore former rows.
@@ -47,7 +49,7 @@ extern "C" int64_t tai_rt_rank(TaiFrame *frame, int64_t ranks,
   Launch &launch = launchOf(frame);
   const Mesh &mesh = ofProcess;
   if (isOfSweep(launch))
-    halos::removeAll();
+    launch.owner().halos().removeAll();
   if (mesh.ranks == ranks)
     return mesh.rank;
   orFail(frame, [&] {
@@ -98,8 +100,9 @@ extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
     return;
   orFail(frame, [&] {
     bool maySkip = !isOfSweep(launch);
+    Halos &halos = launch.owner().halos();
     if (!maySkip)
-      halos::removeAll();
+      halos.removeAll();
     const Kernel *kernel = launch.running.load(std::memory_order_relaxed);
     Exchange exchange{kKinds[plan->kind],
                       field,
@@ -116,20 +119,29 @@ extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
                       {}};
     if (!select(*plan, at, static_cast<char *>(tree), exchange))
       return;
-    halos::Halo halo{static_cast<const char *>(tree) + plan->offset,
+    Halo halo{static_cast<const char *>(tree) + plan->offset,
                      exchange.address,
                      exchange.extents,
                      exchange.strides,
                      exchange.before,
                      exchange.after};
     auto kind = static_cast<size_t>(plan->kind);
-    if (kind == kFetch ? maySkip && halos::isCurrent(halo) : kind == kStale) {
-      if (kind == kStale)
-        halos::removeChanged(halo);
+    if (kind == kStale)
+      return halos.removeChanged(halo);
+    if (kind == kFetch && maySkip && halos.isCurrent(halo)) {
+      leftOut.fetch_add(1, std::memory_order_relaxed);
       return;
     }
-    if (kind == kClear || kind == kCollect)
-      halos::remove(halo.field);
+    // The other kinds write halos, except those of fields that each rank has.
+    if (kind != kFetch)
+      halos.remove(halo.field);
+    if (launch.onDevice && launch.onDevice->code) {
+      // The handler reads the results of the launches so far.
+      exchange.isOnDevice = true;
+      Status done = launch.onDevice->context->queue().synchronize();
+      if (!done)
+        return launch.fail(std::move(done));
+    }
     const Mesh &mesh = ofProcess;
     std::string message = mesh.exchange
                               ? mesh.exchange(exchange)
@@ -138,7 +150,7 @@ extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
     if (!message.empty())
       launch.fail(Status::failure(StatusCode::Usage, message, where));
     else if (kind == kFetch && maySkip)
-      halos::add(std::move(halo));
+      halos.add(std::move(halo));
   });
 }
 

@@ -127,7 +127,7 @@ void Launch::fail(Status status) {
     return;
   failure = std::move(status);
   // Loops may have ended in the middle.
-  halos::removeAll();
+  owner().halos().removeAll();
   failed.store(true, std::memory_order_release);
 }
 

@@ -7,27 +7,17 @@
 
 #include "tai/Runtime/Storage/Halos.h"
 #include <algorithm>
-#include <atomic>
-#include <mutex>
 
 using namespace mlir::tai::runtime;
-using halos::Halo;
 
 /// The oldest halos beyond this number are fetched again.
 static constexpr size_t kMost = 256;
-
-/// Guards the list. `isEmpty` tells writes of the host in programs without a
-/// mesh that there is nothing to remove.
-static std::mutex mutex;
-static std::vector<Halo> known;
-static std::atomic<bool> isEmpty{true};
-static int64_t leftOut = 0;
 
 static bool haveOneForm(const Halo &a, const Halo &b) {
   return a.extents == b.extents && a.strides == b.strides;
 }
 
-template <typename Predicate> static void removeIf(Predicate isGone) {
+template <typename Predicate> void Halos::removeIf(Predicate isGone) {
   if (isEmpty.load(std::memory_order_acquire))
     return;
   std::lock_guard<std::mutex> lock(mutex);
@@ -35,18 +25,16 @@ template <typename Predicate> static void removeIf(Predicate isGone) {
   isEmpty.store(known.empty(), std::memory_order_release);
 }
 
-bool halos::isCurrent(const Halo &halo) {
+bool Halos::isCurrent(const Halo &halo) const {
   std::lock_guard<std::mutex> lock(mutex);
-  bool found = std::any_of(known.begin(), known.end(), [&](const Halo &other) {
+  return std::any_of(known.begin(), known.end(), [&](const Halo &other) {
     return other.field == halo.field && other.address == halo.address &&
            haveOneForm(other, halo) && other.before >= halo.before &&
            other.after >= halo.after;
   });
-  leftOut += found;
-  return found;
 }
 
-void halos::add(Halo halo) {
+void Halos::add(Halo halo) {
   std::lock_guard<std::mutex> lock(mutex);
   if (known.size() == kMost)
     known.erase(known.begin());
@@ -54,22 +42,17 @@ void halos::add(Halo halo) {
   isEmpty.store(false, std::memory_order_release);
 }
 
-void halos::removeChanged(const Halo &part) {
+void Halos::removeChanged(const Halo &part) {
   removeIf([&](const Halo &halo) {
     return halo.field == part.field &&
            (halo.address == part.address || !haveOneForm(halo, part));
   });
 }
 
-void halos::remove(const void *field) {
+void Halos::remove(const void *field) {
   removeIf([&](const Halo &halo) { return halo.field == field; });
 }
 
-void halos::removeAll() {
+void Halos::removeAll() {
   removeIf([](const Halo &) { return true; });
-}
-
-int64_t halos::numLeftOut() {
-  std::lock_guard<std::mutex> lock(mutex);
-  return leftOut;
 }

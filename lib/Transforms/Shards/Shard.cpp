@@ -11,6 +11,7 @@
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Remarks.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/ABI/Abi.h"
 #include "tai/Support/Places.h"
 #include "tai/Transforms/Shards/Passes.h"
 #include "llvm/Support/raw_ostream.h"
@@ -111,6 +112,44 @@ static void clip(OpBuilder &builder, ParallelForOp loop,
   loop.getUpperBoundsMutable()[plan.dimension].set(newUpper);
 }
 
+/// Fails the launch if data choose a row that the rank does not have.
+static void emitChecks(ParallelForOp loop, const ShardPlan &plan) {
+  for (const RowCheck &check : plan.checks) {
+    FieldAccessOpInterface access = check.access;
+    OpBuilder above(loop), builder(access);
+    Location loc = access.getLoc();
+    auto constant = [&](OpBuilder &b, int64_t value) -> Value {
+      return arith::ConstantIndexOp::create(b, loc, value);
+    };
+    const Sharding &sharding = check.sharding;
+    Value rank = RankOp::create(above, loc, above.getIndexType(),
+                                above.getI64IntegerAttr(sharding.ranks));
+    Value row = arith::MulIOp::create(above, loc, rank,
+                                      constant(above, sharding.block));
+    Value first = arith::AddIOp::create(
+        above, loc, row, constant(above, sharding.first - check.halo));
+    Value end = arith::AddIOp::create(
+        above, loc, first, constant(above, sharding.block + 2 * check.halo));
+    Value index = access.getIndices()[sharding.dimension];
+    auto compare = [&](arith::CmpIPredicate predicate, Value bound) -> Value {
+      return arith::CmpIOp::create(builder, loc, predicate, index, bound);
+    };
+    Value holds = arith::AndIOp::create(
+        builder, loc, compare(arith::CmpIPredicate::sge, first),
+        compare(arith::CmpIPredicate::slt, end));
+    std::string message =
+        "data choose row {} of '" + access.getFieldAttr().getValue().str() +
+        "' on a rank that has rows {} to {}, with a halo of " +
+        std::to_string(check.halo) +
+        "; migrate the particles first, or choose a larger halo";
+    Value last =
+        arith::SubIOp::create(builder, loc, end, constant(builder, 1));
+    AssertOp::create(builder, loc, holds, builder.getStringAttr(message),
+                     ValueRange{index, first, last},
+                     builder.getI32IntegerAttr(TAI_FAIL_INDEX));
+  }
+}
+
 /// Emits a remark for each communication of a loop.
 static void report(ParallelForOp loop, const ShardPlan &plan) {
   if (!loop.getContext()->getRemarkEngine())
@@ -147,6 +186,7 @@ static LogicalResult shardLoop(ParallelForOp loop) {
   after.setInsertionPointAfter(loop);
   emitExchanges(after, loop, plan->after, before, known);
   report(loop, *plan);
+  emitChecks(loop, *plan);
   if (plan->isWhole)
     return success();
   ParallelForOp box = toBox(before, loop);
@@ -190,16 +230,15 @@ struct Shard : tai::impl::ShardBase<Shard> {
     WalkResult result =
         getOperation()->walk<WalkOrder::PreOrder>([&](Operation *op) {
           auto loop = dyn_cast<ParallelForOp>(op);
-          if (loop && !onDevice && touchesShards(loop)) {
+          if (loop && touchesShards(loop)) {
             loops.push_back(loop);
             return WalkResult::skip();
           }
           if (!findSharding(op, getNamedField(op)))
             return WalkResult::advance();
-          op->emitError("cannot run on several ranks: ")
-              << (onDevice ? "it" : "outside of a parallel loop, it")
-              << " accesses '" << getNamedField(op) << "', which is sharded"
-              << (onDevice ? ", on a GPU" : "");
+          op->emitError("cannot run on several ranks: outside of a parallel "
+                        "loop, it accesses '")
+              << getNamedField(op) << "', which is sharded";
           return WalkResult::interrupt();
         });
     if (result.wasInterrupted())

@@ -11,7 +11,6 @@
 #include "tai/Analysis/Index/IndexQueries.h"
 #include "tai/Analysis/Index/IndexShift.h"
 #include "tai/Analysis/Reductions/ReductionPlan.h"
-#include "tai/Interfaces/FieldAccess.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;
@@ -35,12 +34,17 @@ struct Offset {
   bool isExact() const { return low == high; }
 };
 
-/// An access to a sharded field.
+/// An access to a sharded field. If `isFree`, data choose the row, and the
+/// offset is relative to the rows of the rank.
 struct RowAccess {
   FieldAccessOpInterface op;
   Offset offset;
   FixedIndices at;
+  bool isFree = false;
 };
+
+/// The halo of loops in which data may choose all rows.
+constexpr int64_t kAllRows = -1;
 
 /// Offsets beyond this number are no halos of any field.
 constexpr int64_t kFarthest = int64_t(1) << 30;
@@ -55,6 +59,8 @@ private:
   LogicalResult checkForm();
   LogicalResult checkOps();
   LogicalResult findAccesses();
+  LogicalResult addFree(FieldAccessOpInterface access,
+                        const Sharding &sharding);
   LogicalResult findDimension(FieldAccessOpInterface access,
                               const Sharding &sharding);
   std::optional<Offset> getOffset(Value index, unsigned dimension);
@@ -67,6 +73,7 @@ private:
   LogicalResult planAdditions();
   LogicalResult checkReadsOfAdditions();
   LogicalResult planCopies();
+  LogicalResult planAllRows();
   void planWhole();
   void planStale();
   void add(std::vector<PlannedExchange> &list, RowAccess access,
@@ -84,6 +91,8 @@ private:
   ParallelForOp loop;
   IndexBuilder builder;
   ShardPlan plan;
+  /// The rows beyond those of a rank that data may choose, or `kAllRows`.
+  std::optional<int64_t> halo;
   bool hasDimension = false;
   std::vector<RowAccess> rows;
   SmallVector<FieldAccessOpInterface> copies;
@@ -91,6 +100,8 @@ private:
 } // namespace
 
 LogicalResult Planner::checkForm() {
+  if (auto given = loop->getAttrOfType<IntegerAttr>(kHaloAttrName))
+    halo = given.getInt();
   if (loop.getSerialize())
     return refuse(loop) << "the loop accesses a sharded field, and its "
                            "iterations run one after another";
@@ -258,6 +269,27 @@ FixedIndices Planner::getFixed(FieldAccessOpInterface access,
   return fixed;
 }
 
+/// Adds an access to a row that data choose, in a loop whose program promises
+/// that the row is one of the rank's own or of its halos.
+LogicalResult Planner::addFree(FieldAccessOpInterface access,
+                               const Sharding &sharding) {
+  bool isStore = isa<StoreOp>(access);
+  if (isStore && *halo != 0)
+    return refuse(access) << "it stores to a row of '" << access.getFieldAttr()
+                          << "' that data choose, which is possible with "
+                             "halo=0, for rows of the rank itself";
+  if (*halo > sharding.block)
+    return refuse(access) << "the loop has halo=" << *halo << ", and a rank has "
+                          << sharding.block << " rows of '"
+                          << access.getFieldAttr() << "'";
+  int64_t rows = std::max<int64_t>(*halo, 0);
+  this->rows.push_back({access, {-rows, rows}, getFixed(access, sharding.dimension),
+                        /*isFree=*/true});
+  if (*halo >= 0)
+    plan.checks.push_back({access, sharding, *halo});
+  return success();
+}
+
 LogicalResult Planner::findAccesses() {
   WalkResult result = loop->walk([&](Operation *op) {
     auto access = dyn_cast<FieldAccessOpInterface>(op);
@@ -273,10 +305,20 @@ LogicalResult Planner::findAccesses() {
                  << "', which is sharded";
       return WalkResult::interrupt();
     }
+    Value index = access.getIndices()[sharding->dimension];
+    IndexExpr expr = builder.get(index);
+    bool isOfLoop = llvm::any_of(loop.getInductionVars(), [&](Value iv) {
+      return expr.mentions(iv);
+    });
+    if (halo && !isOfLoop)
+      return failed(addFree(access, *sharding)) ? WalkResult::interrupt()
+                                                : WalkResult::advance();
     if (failed(findDimension(access, *sharding)))
       return WalkResult::interrupt();
-    std::optional<Offset> offset =
-        getOffset(access.getIndices()[sharding->dimension], plan.dimension);
+    std::optional<Offset> offset = getOffset(index, plan.dimension);
+    if (!offset && halo)
+      return failed(addFree(access, *sharding)) ? WalkResult::interrupt()
+                                                : WalkResult::advance();
     if (!offset) {
       refuse(op) << "the index of '" << access.getFieldAttr()
                  << "' along its sharded axis is not the index of the loop "
@@ -297,7 +339,8 @@ LogicalResult Planner::chooseOwner() {
   const RowAccess *chosen = nullptr;
   auto choose = [&](auto isWanted) {
     for (const RowAccess &access : rows)
-      if (!chosen && access.offset.isExact() && isWanted(access.op))
+      if (!chosen && !access.isFree && access.offset.isExact() &&
+          isWanted(access.op))
         chosen = &access;
   };
   choose([](Operation *op) { return isa<StoreOp>(op); });
@@ -305,11 +348,13 @@ LogicalResult Planner::chooseOwner() {
   choose([](Operation *) { return true; });
   if (chosen)
     plan.offset = chosen->offset.low;
-  else if (!rows.empty() && !loop.isStructFor())
+  else if (!rows.empty() && (!loop.isStructFor() || !hasDimension))
     return refuse(rows.front().op)
            << "no access of the loop is to a sharded field at the index of the "
               "loop plus a constant";
   for (RowAccess &access : rows) {
+    if (access.isFree)
+      continue;
     Offset &offset = access.offset;
     offset.low -= plan.offset;
     offset.high -= plan.offset;
@@ -506,6 +551,34 @@ void Planner::add(std::vector<PlannedExchange> &list, RowAccess access,
   add(list, {kind, access.op.getFieldAttr(), access.op.getLoc(), access.at});
 }
 
+/// Plans accesses to rows that data choose among all rows.
+LogicalResult Planner::planAllRows() {
+  for (RowAccess &access : rows) {
+    if (!access.isFree || halo != kAllRows)
+      continue;
+    auto atomic = dyn_cast<AtomicOp>(access.op.getOperation());
+    for (const RowAccess &other : rows)
+      if (sharesField(access, other) &&
+          bool(atomic) != isa<AtomicOp>(other.op))
+        return refuse(access.op)
+               << "the loop reads and changes rows of '"
+               << access.op.getFieldAttr() << "' that data choose";
+    if (!atomic) {
+      add(plan.before, access, ExchangeKind::Gather);
+      continue;
+    }
+    if (atomic.getKind() != AtomicKind::Add &&
+        atomic.getKind() != AtomicKind::Sub)
+      return refuse(atomic) << "it combines a value with a row of another "
+                               "rank, and is no addition";
+    if (failed(checkSummable(atomic, "rows of other ranks")))
+      return failure();
+    add(plan.before, access, ExchangeKind::Open);
+    add(plan.after, access, ExchangeKind::Sum);
+  }
+  return success();
+}
+
 /// Lets each rank run all iterations if the bits of a sum depend on their
 /// order, or if later loops read memory of the kernel that all iterations fill.
 void Planner::planWhole() {
@@ -522,6 +595,7 @@ void Planner::planWhole() {
   }
   if (!plan.isWhole)
     return;
+  plan.checks.clear();
   plan.before.clear();
   plan.after.clear();
   for (const RowAccess &access : rows)
@@ -539,7 +613,7 @@ void Planner::planStale() {
 FailureOr<ShardPlan> Planner::run() {
   if (failed(checkForm()) || failed(checkOps()) || failed(findAccesses()) ||
       failed(chooseOwner()) || failed(planReads()) || failed(planAdditions()) ||
-      failed(planCopies()))
+      failed(planCopies()) || failed(planAllRows()))
     return failure();
   planWhole();
   planStale();

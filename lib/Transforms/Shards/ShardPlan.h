@@ -16,6 +16,7 @@
 
 #include "tai/Analysis/Index/IndexBuilder.h"
 #include "tai/Dialect/Mesh/IR/Mesh.h"
+#include "tai/Interfaces/FieldAccess.h"
 #include <vector>
 
 namespace mlir::tai {
@@ -42,6 +43,14 @@ struct PlannedExchange {
   int64_t before = 0, after = 0;
 };
 
+/// An access to a row that data choose, which must be a row of the rank or one
+/// of the `halo` rows on either side.
+struct RowCheck {
+  FieldAccessOpInterface access;
+  Sharding sharding;
+  int64_t halo;
+};
+
 /// The plan of a loop that accesses sharded fields. The iteration with index
 /// `iv` along dimension `dimension` of the loop belongs to the owner of row
 /// iv + `offset`. If `isWhole`, each rank runs all iterations, on rows that it
@@ -53,6 +62,7 @@ struct ShardPlan {
   unsigned dimension = 0;
   int64_t offset = 0;
   std::vector<PlannedExchange> before, after;
+  std::vector<RowCheck> checks;
 };
 
 /// True if the loop visits or accesses a sharded field.

@@ -57,8 +57,8 @@ tai.tree @t : !tai.root<!tai_mesh.shard<[j: 2], dense<[i: 4, j: 8], {x: f32}>>, 
 tai.field @x = @t["x"] : f32, rank 2
 tai.field @loss = @t["loss"] : f32, rank 0
 tai.kernel @kinds() {
-  // expected-error @+1 {{'sum' expects a field that is not below a 'shard' level}}
-  tai_mesh.exchange sum @x
+  // expected-error @+1 {{'min' expects a field that is not below a 'shard' level}}
+  tai_mesh.exchange min @x
   tai.return
 }
 

@@ -45,3 +45,11 @@ def test_the_command_prints_a_table():
     lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
     assert lines[0] == "a prediction, not a measurement"
     assert [line.split()[0] for line in lines[1:]] == ["ranks", "1", "2", "4", "8"]
+
+
+@pytest.mark.parametrize("scene", predict_mesh.SCENES)
+def test_scenes_are_predicted(scene):
+    command = [sys.executable, predict_mesh.__file__, "--scene", scene, "--row-seconds", "1e-6"]
+    command += ["--latency", "1e-5", "--bandwidth", "1e11"]
+    lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert lines[-1].split()[0] == "1024"

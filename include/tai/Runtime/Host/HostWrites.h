@@ -15,6 +15,7 @@
 
 #include "tai/Runtime/Host/FieldCopies.h"
 #include "tai/Runtime/Host/Recordings.h"
+#include "tai/Runtime/Storage/Halos.h"
 
 namespace mlir::tai::runtime {
 
@@ -30,9 +31,9 @@ class HostWrites {
 public:
   HostWrites(const TreeStore &store, const MemoryAccount &memory,
              const Recordings &recordings, const FieldCopies &copies,
-             DeviceHost &devices)
+             DeviceHost &devices, Halos &halos)
       : store(store), memory(memory), recordings(recordings), copies(copies),
-        devices(devices) {}
+        devices(devices), halos(halos) {}
 
   /// Sets the observer that is told of each write of the host; null removes it.
   void setWatcher(OverwriteWatcher *follows) { watcher = follows; }
@@ -71,6 +72,8 @@ public:
           FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait);
 
 private:
+  /// Removes the halos of a field that the host writes.
+  void removeHalos(const Field &field);
   Status activateNonzero(Field &field, const void *array);
 
   const TreeStore &store;
@@ -78,6 +81,7 @@ private:
   const Recordings &recordings;
   const FieldCopies &copies;
   DeviceHost &devices;
+  Halos &halos;
   OverwriteWatcher *watcher = nullptr;
 };
 

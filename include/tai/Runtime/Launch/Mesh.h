@@ -30,6 +30,9 @@ struct Exchange {
   void *address;
   int64_t rows;
   std::vector<int64_t> extents, strides;
+  /// True if `address` is memory of the runtime's device. The device has done
+  /// all earlier work, and the handler's work must be done when it returns.
+  bool isOnDevice = false;
 };
 
 struct Mesh {
@@ -43,6 +46,10 @@ struct Mesh {
 
 /// Sets the mesh of the process. Call while no kernel runs.
 void setMesh(Mesh mesh);
+
+/// The number of exchanges of the process that were left out, because the
+/// halos were current.
+int64_t numExchangesLeftOut();
 
 /// Adds the functions of tai/ABI/MeshAbi.h.
 void appendMeshCalls(std::vector<RuntimeSymbol> &symbols);

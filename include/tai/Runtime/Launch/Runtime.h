@@ -45,7 +45,7 @@ public:
         deviceHost({printer, account, opts.skips, skipCounts}),
         tapes(state, trees), fieldCopies(workerThreads, deviceHost),
         fieldGradients(trees, tapes, fieldCopies, opts.skips, skipCounts),
-        hostWrites(trees, account, tapes, fieldCopies, deviceHost),
+        hostWrites(trees, account, tapes, fieldCopies, deviceHost, fieldHalos),
         launches(*this, {opts, trees, state, tapes, fieldGradients, fieldCopies,
                          deviceHost, skipCounts}) {
     trees.setMirrors(&deviceHost);
@@ -70,6 +70,7 @@ public:
   FieldCopies &copies() { return fieldCopies; }
   HostWrites &writes() { return hostWrites; }
   Launcher &launcher() { return launches; }
+  Halos &halos() { return fieldHalos; }
   ShadowLog &shadowLog() { return shadowSites; }
   /// The counters of skipped and unskipped work; see
   /// docs/decisions/0008-skips.md.
@@ -173,6 +174,8 @@ public:
         return status;
       }
       fieldGradients.forget(*tree);
+      // Another tree may get the same addresses.
+      fieldHalos.removeAll();
     }
     return trees.destroyTree(name);
   }
@@ -273,6 +276,7 @@ private:
   Recordings tapes;
   FieldCopies fieldCopies;
   Gradients fieldGradients;
+  Halos fieldHalos;
   HostWrites hostWrites;
   Launcher launches;
 };

@@ -16,10 +16,12 @@
 #ifndef TAI_RUNTIME_STORAGE_HALOS_H
 #define TAI_RUNTIME_STORAGE_HALOS_H
 
+#include <atomic>
 #include <cstdint>
+#include <mutex>
 #include <vector>
 
-namespace mlir::tai::runtime::halos {
+namespace mlir::tai::runtime {
 
 /// The halos of a part of a field. `field` is the address of the field's first
 /// element, and `address`, with the extents and strides in bytes, the part.
@@ -30,18 +32,30 @@ struct Halo {
   int64_t before, after;
 };
 
-/// True if the rows are there; counts an exchange that is left out.
-bool isCurrent(const Halo &halo);
-void add(Halo halo);
-/// Removes the halos of a part that has changed. Parts of the same form at
-/// other addresses have other elements.
-void removeChanged(const Halo &part);
-/// Removes all halos of a field.
-void remove(const void *field);
-void removeAll();
-/// The number of exchanges that were left out.
-int64_t numLeftOut();
+/// The halos of the fields of one runtime. Launches of several threads may use
+/// it at once.
+class Halos {
+public:
+  /// True if the rows are there.
+  bool isCurrent(const Halo &halo) const;
+  void add(Halo halo);
+  /// Removes the halos of a part that has changed. Parts of the same form at
+  /// other addresses have other elements.
+  void removeChanged(const Halo &part);
+  /// Removes all halos of a field.
+  void remove(const void *field);
+  void removeAll();
 
-} // namespace mlir::tai::runtime::halos
+private:
+  template <typename Predicate> void removeIf(Predicate isGone);
+
+  /// Guards the list. `isEmpty` tells writes of the host in programs without a
+  /// mesh that there is nothing to remove.
+  mutable std::mutex mutex;
+  std::vector<Halo> known;
+  std::atomic<bool> isEmpty{true};
+};
+
+} // namespace mlir::tai::runtime
 
 #endif // TAI_RUNTIME_STORAGE_HALOS_H

@@ -42,6 +42,11 @@ def Shard : Pass<"tai-shard", "::mlir::ModuleOp"> {
     other access to a sharded field, and stores to fields of which each rank has
     a copy.
 
+    In a loop with the attribute `tai_mesh.halo = n`, data may choose the rows:
+    the program promises that they are those of the rank and `n` rows on either
+    side, which are fetched and collected as other halos are. The launch fails
+    at a row beyond. With -1 they are all rows, which ranks gather or sum up.
+
     With fields of 64 rows on 4 ranks,
 
     ```mlir
@@ -61,10 +66,6 @@ def Shard : Pass<"tai-shard", "::mlir::ModuleOp"> {
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::tai::TaiMeshDialect",
                            "::mlir::tai::TaiDialect"];
-  let options = [
-    Option<"onDevice", "on-device", "bool", /*default=*/"false",
-           "The kernels are for a GPU: report all accesses to sharded fields">,
-  ];
 }
 
 #endif // TAI_TRANSFORMS_SHARDS_PASSES_TD

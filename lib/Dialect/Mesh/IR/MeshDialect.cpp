@@ -213,7 +213,9 @@ LogicalResult ExchangeOp::verifySymbolUses(SymbolTableCollection &symbols) {
                          << sparse.getKind() << "' level";
   // (exchange_c2)
   std::optional<Sharding> sharding = getSharding(*layout);
-  if (isAboutRows(getKind()) != sharding.has_value())
+  bool isEither = llvm::is_contained({ExchangeKind::Open, ExchangeKind::Sum},
+                                     getKind());
+  if (!isEither && isAboutRows(getKind()) != sharding.has_value())
     return emitOpError() << "'" << stringifyExchangeKind(getKind())
                          << "' expects a field that is "
                          << (sharding ? "not " : "") << "below a 'shard' level";

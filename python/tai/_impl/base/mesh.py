@@ -6,8 +6,8 @@ transport, by default torch.distributed. See docs/decisions/0075-shards.md.
 
 from __future__ import annotations
 
-import ctypes
 import importlib
+import itertools
 import os
 import re
 import zlib
@@ -18,11 +18,7 @@ import numpy as np
 
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError
 from . import native
-
-# Types of numbers by the code of `tai-c/Mesh.h`. NumPy has no bf16, of which rows only travel.
-_TYPES = {1: "u1", 8: "i1", 16: "i2", 32: "i4", 64: "i8"}
-_TYPES |= {-16: "f2", -17: "u2", -32: "f4", -64: "f8"}
-
+from .exchanged import is_emulated, memory_of
 
 # The bytes of a text that ranks compare when they meet.
 _TEXT = 256
@@ -34,7 +30,8 @@ class Transport(Protocol):
     A method that fails raises any exception. If this exception has an attribute `rank`, the message
     names that rank. A transport may also have `fail(text, ranks)`, which tells the other ranks that
     this one gives up, and returns the texts of those that have told so, by rank; it waits a moment
-    for the texts of `ranks`.
+    for the texts of `ranks`. `take(name)`, which it may have as well, adds 1 to a number that all
+    ranks share, initially 0, and returns the number before.
     """
 
     rank: int
@@ -78,17 +75,22 @@ class Mesh:
         # The exchanges so far, by kind.
         self._counts: dict[str, int] = {}
         self._left_out = 0
+        # The number of counters that the ranks have made together.
+        self._counters = 0
         # The first failure; the ranks cannot communicate after it.
         self._lost: str | None = None
 
-    def connect(self) -> None:
+    def connect(self, on_gpus: bool = False) -> None:
         """Meets the other processes.
+
+        Args:
+            on_gpus: whether kernels run on GPUs, one for each process.
 
         Raises:
             TaiRuntimeError: there are more or fewer of them, or they run other versions of tai.
         """
         if self._transport is None:
-            self._transport = self._given or self._connect_default()
+            self._transport = self._given or self._connect_default(on_gpus)
         size = self._transport.size
         if size != self.ranks:
             raise TaiRuntimeError(
@@ -102,19 +104,35 @@ class Mesh:
         for rank, other in enumerate(self.texts("its start", own)):
             if own != other:
                 self._give_up(f"rank {self.rank} has {own}, and rank {rank} has {other}")
+        if on_gpus and getattr(self._transport, "has_nccl", False):
+            self._check_gpus()
 
-    def _connect_default(self) -> Any:
+    def _check_gpus(self) -> None:
+        names = self.texts("its start", self._ranks_of_torch().name_of_gpu())
+        for rank, name in enumerate(names):
+            if rank != self.rank and name == names[self.rank]:
+                self._give_up(f"rank {self.rank} and rank {rank} have the same {name}")
+
+    def choose_gpu(self) -> None:
+        """Leaves this process its GPU, before anything opens CUDA."""
+        if self._given is None and not is_emulated() and "LOCAL_RANK" in os.environ:
+            self._ranks_of_torch().choose_gpu(self.ranks)
+
+    def _connect_default(self, on_gpus: bool) -> Any:
         if self.ranks == 1 and "WORLD_SIZE" not in os.environ:
             return OneRank()
+        on_gpus = on_gpus and not is_emulated()
+        return self._ranks_of_torch().connect(self.name, self.ranks, self.timeout, on_gpus)
+
+    def _ranks_of_torch(self) -> Any:
         try:
-            ranks = importlib.import_module("tai._impl.base.torch_ranks")
+            return importlib.import_module("tai._impl.base.torch_ranks")
         except ImportError as error:
             raise TaiRuntimeError(
                 f"the ranks of a mesh communicate by torch.distributed, which is not there: "
                 f"{error}",
                 "install torch, or pass a transport to ti.mesh",
             ) from error
-        return ranks.connect(self.name, self.ranks, self.timeout)
 
     @property
     def rank(self) -> int:
@@ -173,30 +191,38 @@ class Mesh:
     def exchange(
         self, kind: str, field: str, kernel: str, where: str, element: int, digest: int,
         block: int, before: int, after: int, address: int, rows: int, extents: tuple,
-        strides: tuple,
+        strides: tuple, on_device: bool = False,
     ) -> None:  # fmt: skip
         """Carries out an exchange of a kernel; `TaiExchange` of tai-c/Mesh.h has the parameters."""
         plan = (kind, field, element, digest, block, before, after, rows, extents, strides)
-        view = _view(address, np.dtype(_TYPES[element]), extents, strides)
         action = f"the exchange '{kind}' of field '{field}' in the launch of kernel '{kernel}'"
         self._counts[kind] = self._counts.get(kind, 0) + 1
         if plan not in self._known:
             self._compare(plan, action, where)
             self._known.add(plan)
+        memory = memory_of(on_device)
+        view = memory.view(address, element, extents, strides)
+        by_rows = memory.rows_first(view, rows) if rows >= 0 else None
+        low, high = self.rank * block, (self.rank + 1) * block
         if kind == "gather":
-            self.gather_rows(view, rows, field, action)
-        elif rows >= 0:
-            rows_first = np.moveaxis(view, rows, 0)
-            self.together(
-                action, lambda: self._exchange_rows(plan, rows_first, block, before, after)
+            found = self.together(
+                action, lambda: memory.gather(self._transport, by_rows[low:high])
             )
+            for rank, other in enumerate(found):
+                by_rows[rank * block : (rank + 1) * block] = other
         elif kind == "open":
-            if self.rank:
+            if by_rows is not None:
+                by_rows[:low] = 0
+                by_rows[high:] = 0
+            elif self.rank:
                 view[...] = 0
+        elif kind in ("sum", "min", "max"):
+            self.together(action, lambda: memory.reduce(self._transport, view, kind))
         else:
-            total = np.array(view)
-            self.together(action, lambda: self._transport.all_reduce(total, kind))
-            view[...] = total
+            self.together(
+                action, lambda: self._exchange_rows(memory, plan, by_rows, block, before, after)
+            )
+        memory.finish()
 
     def _compare(self, plan: tuple, action: str, where: str) -> None:
         """Before the first exchange of a plan: all ranks have the same one."""
@@ -210,7 +236,7 @@ class Mesh:
                 )
 
     def _exchange_rows(
-        self, plan: tuple, view: np.ndarray, block: int, before: int, after: int
+        self, memory: Any, plan: tuple, view: Any, block: int, before: int, after: int
     ) -> None:
         """Fetches, clears or collects halos; the rows are the first dimension."""
         kind = plan[0]
@@ -232,17 +258,16 @@ class Mesh:
             return
         out, into = (owned, halos) if kind == "fetch" else (halos, owned)
         # A message begins with a hash of its plan: the peer may be in another exchange.
-        head = np.array([_hash(plan)], np.int64).view(np.uint8)
-        sends = [(peer, np.concatenate([head, _bytes(rows)])) for peer, rows in out]
-        received = [(peer, np.empty(8 + rows.size * rows.itemsize, np.uint8))
-                    for peer, rows in into]  # fmt: skip
-        self._transport.swap(sends, received)
+        head = _hash(plan)
+        sends = [(peer, memory.message(head, rows)) for peer, rows in out]
+        received = [(peer, memory.room(rows)) for peer, rows in into]
+        memory.swap(self._transport, sends, received)
         for (peer, rows), (_, got) in zip(into, received, strict=True):
-            if not np.array_equal(got[:8], head):
+            found, values = memory.read(got, rows)
+            if found != head:
                 error = RuntimeError("it sends the rows of another exchange")
                 error.rank = peer  # type: ignore[attr-defined]
                 raise error
-            values = got[8:].view(rows.dtype).reshape(rows.shape)
             if kind == "fetch":
                 rows[...] = values
             else:
@@ -283,6 +308,22 @@ class Mesh:
         for rank, text in enumerate(self.texts(action, problem)):
             if text:
                 raise TaiRuntimeError(f"rank {rank} of {self.ranks}: {text}")
+
+    def counter(self) -> Callable[[], int]:
+        """A function that returns 0, 1, 2, … , each number on one of the ranks.
+
+        All ranks make it together. With a transport that cannot count, the ranks take turns.
+        """
+        self._counters += 1
+        name, take = f"counter{self._counters}", getattr(self._transport, "take", None)
+        turns = itertools.count(self.rank, self.ranks)
+        if take is None:
+            return lambda: next(turns)
+        return lambda: int(self.together("taking the next chunk", lambda: take(name)))
+
+    def add_up(self, array: np.ndarray, action: str) -> None:
+        """Replaces the numbers of an array by their sums over all ranks."""
+        self.together(action, lambda: self._transport.all_reduce(array, "sum"))
 
     def texts(self, action: str, own: str) -> list[str]:
         """The texts of all ranks, each cut to 256 bytes."""
@@ -344,15 +385,3 @@ def _first_cause(told: dict[int, str], rank: int | None) -> str:
 
 def _hash(plan: tuple) -> int:
     return zlib.crc32(repr(plan).encode())
-
-
-def _bytes(rows: np.ndarray) -> np.ndarray:
-    """A copy of an array's memory."""
-    return np.ascontiguousarray(rows).reshape(-1).view(np.uint8)
-
-
-def _view(address: int, dtype: np.dtype, extents: tuple, strides: tuple) -> np.ndarray:
-    """The memory at an address as an array."""
-    size = dtype.itemsize + sum((n - 1) * s for n, s in zip(extents, strides, strict=True))
-    memory = (ctypes.c_char * size).from_address(address)
-    return np.ndarray(extents, dtype, memory, 0, strides)

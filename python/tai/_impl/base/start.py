@@ -89,7 +89,9 @@ def init(
     mesh = chosen.get("mesh")
     if mesh is not None:
         _check_mesh(mesh, chosen["arch"])
-        mesh.connect()
+        if chosen["arch"] == cuda:
+            mesh.choose_gpu()
+        mesh.connect(on_gpus=chosen["arch"] == cuda)
     taken = Options(**chosen)
     program = Program(taken)
     # The fields are dropped only now, when nothing can be refused any more.
@@ -106,8 +108,10 @@ def _check_mesh(mesh: Any, arch: Arch) -> None:
         raise TaiRuntimeTypeError(
             f"mesh is made by ti.mesh, but got {mesh!r}", 'write mesh=ti.mesh("x", 4)'
         )
-    if arch != cpu:
-        raise TaiRuntimeError(f"a mesh runs on the CPU, but arch is {arch}", "choose arch=ti.cpu")
+    if arch not in (cpu, cuda):
+        raise TaiRuntimeError(
+            f"a mesh runs on the CPU or on GPUs, but arch is {arch}", "choose arch=ti.cpu"
+        )
 
 
 # The keywords of `ti.init` are those in the table of options.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 import os
 import sys
 import threading
@@ -19,6 +20,8 @@ from ...errors import TaiRuntimeError
 # The seconds in which other ranks may tell that they give up, too.
 GRACE = 2.0
 
+_numbers = itertools.count()
+
 _OPS = {"sum": dist.ReduceOp.SUM, "min": dist.ReduceOp.MIN, "max": dist.ReduceOp.MAX}
 
 
@@ -34,9 +37,13 @@ class TorchRanks:
     """The default process group, with the store of its start."""
 
     def __init__(self, store: Any, timeout: float) -> None:
-        self._store, self._grace, self._timeout = store, min(GRACE, timeout / 4), timeout
+        self._store, self._grace, self.timeout = store, min(GRACE, timeout / 4), timeout
+        # Whether the group can carry memory of GPUs.
+        self.has_nccl = "nccl" in str(getattr(dist, "get_backend_config", lambda: "")())
         self.rank, self.size = dist.get_rank(), dist.get_world_size()
         self._has_failed = False
+        # Other meshes of the process have the same store.
+        self._number = next(_numbers)
         threading.Thread(target=self._watch, name="tai-ranks", daemon=True).start()
 
     def swap(
@@ -70,6 +77,10 @@ class TorchRanks:
         dist.all_gather([_bytes(each) for each in found], _bytes(np.array(array, order="C")))
         return found
 
+    def take(self, name: str) -> int:
+        """Adds 1 to a number in the store, and returns the number before."""
+        return int(self._store.add(f"tai/{self._number}/{name}", 1)) - 1
+
     def fail(self, text: str, ranks: Sequence[int]) -> dict[int, str]:
         """Tells the other ranks that this one gives up; returns the texts of those that do."""
         told: dict[int, str] = {}
@@ -100,14 +111,17 @@ class TorchRanks:
             text = self._store.get("tai/failed").decode()
         except (RuntimeError, AttributeError):
             return  # The process that serves the store has ended.
-        time.sleep(self._timeout)
+        time.sleep(self.timeout)
         if not self._has_failed:
             print(f"[tai] rank {self.rank} ends: {text}", file=sys.stderr, flush=True)
             os._exit(1)
 
 
-def connect(name: str, ranks: int, timeout: float) -> TorchRanks:
+def connect(name: str, ranks: int, timeout: float, on_gpus: bool) -> TorchRanks:
     """Joins the process group, or that of the program; gloo, with the variables of torchrun.
+
+    Args:
+        on_gpus: whether memory of GPUs will travel, by NCCL.
 
     Raises:
         TaiRuntimeError: the variables are not set, or other ranks do not arrive in time.
@@ -135,7 +149,8 @@ def connect(name: str, ranks: int, timeout: float) -> TorchRanks:
         attempt = os.environ.get("TORCHELASTIC_RESTART_COUNT", "0")
         store = dist.PrefixStore(f"attempt{attempt}", store)
         store.set(f"tai/here/{own}", "1")
-        dist.init_process_group("gloo", store=store, rank=own, world_size=size, timeout=wait)
+        backend = "cpu:gloo,cuda:nccl" if on_gpus and dist.is_nccl_available() else "gloo"
+        dist.init_process_group(backend, store=store, rank=own, world_size=size, timeout=wait)
     except (RuntimeError, ValueError, OSError) as error:
         missing = _missing(store, size)
         problem = f"no {missing} arrived" if missing else f"{host} does not answer"
@@ -144,6 +159,32 @@ def connect(name: str, ranks: int, timeout: float) -> TorchRanks:
             "do all processes run the program, with the same MASTER_ADDR and MASTER_PORT?",
         ) from error
     return TorchRanks(store, timeout)
+
+
+def choose_gpu(ranks: int) -> None:
+    """Leaves this process the GPU of its number on the host, unless the program has chosen one.
+
+    Raises:
+        TaiRuntimeError: the host has fewer GPUs than ranks.
+    """
+    listed = os.environ.get("CUDA_VISIBLE_DEVICES")
+    own, here = (int(os.environ.get(name, "0")) for name in ("LOCAL_RANK", "LOCAL_WORLD_SIZE"))
+    devices = listed.split(",") if listed else [str(n) for n in range(torch.cuda.device_count())]
+    if here < 2 or torch.cuda.is_initialized() or (listed and len(devices) == 1):
+        return
+    if len(devices) < here:
+        raise TaiRuntimeError(
+            f"the mesh of {ranks} ranks has {here} ranks on this host, which has {len(devices)} "
+            f"GPU{'' if len(devices) == 1 else 's'}",
+            "start one process for each GPU",
+        )
+    os.environ["CUDA_VISIBLE_DEVICES"] = devices[own]
+
+
+def name_of_gpu() -> str:
+    """A text that no other GPU has."""
+    where = getattr(torch.cuda.get_device_properties(0), "uuid", os.environ.get("LOCAL_RANK"))
+    return f"GPU {where} of {os.uname().nodename}"
 
 
 def _missing(store: Any, size: int) -> str:

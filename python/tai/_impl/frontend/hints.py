@@ -63,7 +63,7 @@ _HINTS = [
      "ti.stop_grad(…) keeps a value out of gradients"),
     (r"^kernels have no 'del'", "a name ends with the block that it was assigned in"),
     (r"^kernels have no ", "do it in Python, outside of the kernel"),
-    (r"loop_config has no option", "it has serialize, parallelize and block_dim"),
+    (r"loop_config has no option", "it has serialize, parallelize, block_dim and halo"),
     (r"^(?:field|array) '(.*)' takes 0 ind", "write {0}[None]"),
     (r"^(?:field|array) '(.*)' takes 1 ind", "write {0}[i]"),
     (r"^(?:field|array) '(.*)' takes 2 ind", "write {0}[i, j]"),

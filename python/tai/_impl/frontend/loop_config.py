@@ -33,7 +33,7 @@ class LoopConfig(Part):
         if node.args:
             raise TaiTypeError("ti.loop_config takes keywords only")
         known = {"serialize", "parallelize", "block_dim", "block_dim_adaptive",
-                 "bit_vectorize"}  # fmt: skip
+                 "bit_vectorize", "halo"}  # fmt: skip
         for keyword in node.keywords:
             if keyword.arg not in known:
                 raise TaiTypeError(
@@ -45,4 +45,15 @@ class LoopConfig(Part):
                 raise TaiTypeError("the options of a loop are known at compile time")
             if keyword.arg == "block_dim":
                 value = check_block_dim(value, self.context.options)
+            if keyword.arg == "halo":
+                value = _halo_rows(value)
             self._options[keyword.arg] = value
+
+
+def _halo_rows(value: Any) -> int:
+    """The number of rows of a `halo`, -1 for all."""
+    if value == "all":
+        return -1
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise TaiTypeError(f"halo is a number of rows or 'all', but got {value!r}")
+    return value

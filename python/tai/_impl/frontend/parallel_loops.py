@@ -131,7 +131,7 @@ class ParallelLoops(Part):
         builder.parallel_for(
             region, lower, upper, None if bounds is not None else storage.symbol,
             None if level is None else level.up, is_serial,
-            block_dim_of(options, self.context.options),
+            block_dim_of(options, self.context.options), options.get("halo"),
         )  # fmt: skip
         for variable in shared:
             place = variable.hidden

@@ -218,7 +218,7 @@ class Builder:
     def parallel_for(
         self, body: Region, lower: Sequence[Handle] = (), upper: Sequence[Handle] = (),
         field: str | None = None, level: int | None = None, is_serial: bool = False,
-        block_dim: int = 0,
+        block_dim: int = 0, halo: int | None = None,
     ) -> None:  # fmt: skip
         """Appends a parallel loop over a box of indices, over the elements of a field, or over the
         cells of a level.
@@ -230,6 +230,7 @@ class Builder:
             level: how many levels above the field the cells are.
             is_serial: whether iterations run one after the other, in order.
             block_dim: threads of a block on a GPU; 0 for any.
+            halo: rows beyond those of a rank among which data may choose, -1 for all rows.
         """
         attributes = {"operandSegmentSizes": self._sizes(len(lower), len(upper))}
         if field is not None:
@@ -240,6 +241,8 @@ class Builder:
             attributes["serialize"] = self._attribute("unit")
         if block_dim:
             attributes["block_dim"] = self._number(block_dim)
+        if halo is not None:
+            attributes["tai_mesh.halo"] = self._number(halo)
         self._op("tai.parallel_for", [*lower, *upper], [], attributes, [body])
 
     def end_of_parallel_for(self) -> None:

@@ -445,6 +445,8 @@ def loop_config(**options: Any) -> None:
             0 for a size that suits the kernel. Without effect on the CPU.
         block_dim_adaptive: False for blocks of the usual size on a GPU where `block_dim` names
             none, whatever suits the kernel.
+        halo: with a mesh, the rows on either side of those of a rank that indices which data choose
+            may reach, or "all".
     """
     raise TaiSyntaxError("ti.loop_config stands in kernels, before a loop")
 

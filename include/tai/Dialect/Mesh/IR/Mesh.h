@@ -34,6 +34,11 @@
 
 namespace mlir::tai {
 
+/// The attribute of a parallel loop with the number of rows, on either side of
+/// those of a rank, among which data may choose: an integer, -1 for all rows.
+/// Without the attribute, such accesses to sharded fields are refused.
+inline constexpr llvm::StringLiteral kHaloAttrName = "tai_mesh.halo";
+
 /// How a `shard` level divides a field among ranks: rank r has the `block` rows
 /// from `first` + r * `block` on, by their indices along `dimension`.
 struct Sharding {

@@ -83,10 +83,11 @@ def TaiMesh_ExchangeOp : TaiMesh_Op<"exchange", [
     - `stale` notes that rows have changed. A `fetch` of halos that the rank has
       fetched before, and of which no row can have changed, does nothing.
 
-    The other kinds are for a field of which each rank has its own copy:
+    The other kinds are for a field of which each rank has its own copy. `open`
+    and `sum` are for sharded fields, too, and then about all rows:
 
-    - `open` sets the elements to zero on all ranks but rank 0, in preparation
-      for `sum`;
+    - `open` sets the elements to zero on all ranks but rank 0, or those of rows
+      of other ranks, in preparation for `sum`;
     - `sum`, `min` and `max` replace each element by the combination of the
       copies of all ranks.
 
@@ -97,7 +98,7 @@ def TaiMesh_ExchangeOp : TaiMesh_Op<"exchange", [
 
     1. (exchange_c1) `field` names a `tai.field`, without sparse levels.
     2. (exchange_c2) The field is below a `shard` level for the first
-       five kinds, and not for the others.
+       five kinds, and not for `min` and `max`.
     3. (exchange_c3) `before` and `after` are from 0 to the number of rows of a
        rank, and 0 for fields that are not sharded.
     4. (exchange_c4) `dims` are ascending dimensions of the field, one for each
