@@ -39,7 +39,9 @@ typedef struct TaiExchange {
 } TaiExchange;
 
 /// Carries out an exchange, on the thread of the launch. Returns null, or the
-/// message of a failure, valid until the next call.
+/// message of a failure, valid until the next call. If the launch has failed on
+/// this rank, `kind` is "fail", and `field` is the message: the other ranks wait
+/// in an exchange that this one does not reach.
 typedef const char *(*TaiExchangeHandler)(const TaiExchange *exchange);
 
 /// Makes the process rank `rank` of a mesh of `ranks` processes. A null handler

@@ -92,12 +92,33 @@ static bool select(const TaiExchangePlan &plan, const int64_t *at, char *tree,
   return true;
 }
 
+/// Tells the other ranks, which wait in the exchange, that the launch has
+/// failed on this one.
+static void tellOfFailure(Launch &launch, const char *where) {
+  const Mesh &mesh = ofProcess;
+  if (!mesh.exchange)
+    return;
+  std::string message;
+  {
+    std::lock_guard<std::mutex> lock(launch.failureMutex);
+    message = launch.failure.message();
+  }
+  const Kernel *kernel = launch.running.load(std::memory_order_relaxed);
+  Exchange failure{};
+  failure.kind = "fail";
+  failure.field = message.c_str();
+  failure.kernel = kernel ? kernel->name().c_str() : "";
+  failure.where = where;
+  failure.rows = -1;
+  (void)mesh.exchange(failure);
+}
+
 extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
                                 const TaiExchangePlan *plan, const int64_t *at,
                                 const char *field, const char *where) {
   Launch &launch = launchOf(frame);
   if (launch.hasFailed())
-    return;
+    return orFail(frame, [&] { tellOfFailure(launch, where); });
   orFail(frame, [&] {
     bool maySkip = !isOfSweep(launch);
     Halos &halos = launch.owner().halos();

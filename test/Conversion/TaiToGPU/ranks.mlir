@@ -6,7 +6,7 @@ tai.field @y = @t["y"] : f32, rank 1
 
 // The host asks for the rank and exchanges rows between launches, by the
 // address that the tree has on the device.
-// CHECK-LABEL: llvm.func @_tai_blur(
+// CHECK-LABEL: llvm.func @blur(
 //  CHECK-SAME:   %[[FRAME:.*]]: !llvm.ptr
 //       CHECK:   llvm.call @tai_rt_exchange(%[[FRAME]], %{{.*}}, %{{.*}}, %{{.*}}, %{{.*}}, %{{.*}})
 //       CHECK:   llvm.call @tai_rt_rank(%[[FRAME]],

@@ -194,6 +194,11 @@ class Mesh:
         strides: tuple, on_device: bool = False,
     ) -> None:  # fmt: skip
         """Carries out an exchange of a kernel; `TaiExchange` of tai-c/Mesh.h has the parameters."""
+        if kind == "fail":
+            if self._lost is None:
+                text = f"the launch of kernel '{kernel}' failed on rank {self.rank}: {field}"
+                self._note(text, self.rank)
+            return
         plan = (kind, field, element, digest, block, before, after, rows, extents, strides)
         action = f"the exchange '{kind}' of field '{field}' in the launch of kernel '{kernel}'"
         self._counts[kind] = self._counts.get(kind, 0) + 1

@@ -78,12 +78,12 @@ def kernels() -> Any:
         @staticmethod
         @kernel
         def assign(
-            live: template(), going: template(), coming: template(), tally: template(),
-            needs: template(), ranks: template(), capacity: template(),
+            live: template(), going: template(), before_from: template(), behind_from: template(),
+            coming: template(), tally: template(), needs: template(), ranks: template(),
+            capacity: template(),
         ):  # fmt: skip
-            # `going` becomes the number of the particle's place in the rooms, plus one, and
-            # `coming` that of the place from which a slot is filled; both are negative for the
-            # rank before.
+            # The rooms get the slots from which they are filled, and `coming` gets the number of
+            # the room from which a slot is filled, plus one, negative for the rank before.
             for r, c in ndrange(ranks, (capacity + CHUNK - 1) // CHUNK):
                 before, behind, free = tally[r, c, 0], tally[r, c, 1], tally[r, c, 2]
                 from_before = needs[max(r - 1, 0), 1]
@@ -93,14 +93,14 @@ def kernels() -> Any:
                 if r == ranks - 1:
                     from_behind = 0
                 for s in range(c * CHUNK, min((c + 1) * CHUNK, capacity)):
-                    way, source, stays = going[r, s], 0, live[r, s]
-                    if way == -1:
+                    source, stays = 0, live[r, s]
+                    if going[r, s] == -1:
+                        before_from[r, before] = s
                         before += 1
-                        way = -before
                         stays = 0
-                    elif way == 1:
+                    elif going[r, s] == 1:
+                        behind_from[r, behind] = s
                         behind += 1
-                        way = behind
                         stays = 0
                     if stays == 0:
                         if free < from_before:
@@ -108,19 +108,19 @@ def kernels() -> Any:
                         elif free < from_before + from_behind:
                             source = free - from_before + 1
                         free += 1
-                    going[r, s] = way
                     coming[r, s] = source
                     live[r, s] = 1 if stays != 0 or source != 0 else 0
 
         @staticmethod
         @kernel
-        def pack(field: template(), before: template(), behind: template(), going: template()):
-            for r, s in going:
-                way = going[r, s]
-                if way < 0:
-                    before[r, -way - 1] = field[r, s]
-                elif way > 0:
-                    behind[r, way - 1] = field[r, s]
+        def pack(
+            field: template(), rooms: template(), rooms_from: template(), needs: template(),
+            side: template(),
+        ):  # fmt: skip
+            # A loop over rooms, and not over slots: no two iterations store to a room.
+            for r, k in rooms:
+                if k < needs[r, side]:
+                    rooms[r, k] = field[r, rooms_from[r, k]]
 
         @staticmethod
         @kernel

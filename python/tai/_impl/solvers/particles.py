@@ -46,9 +46,11 @@ class Particles:
         self.ranks = 1 if mesh is None else mesh.ranks
         self.capacity, self.room = capacity, room
         self.live, self._going, self._coming = (field(i32) for _ in range(3))
+        self._before_from, self._behind_from = field(i32), field(i32)
         self._tally, self._needs = field(i32), field(i32)
         self._chunks = -(-capacity // CHUNK)
         self._place((self.ranks, capacity), self.live, self._going, self._coming)
+        self._place((self.ranks, room), self._before_from, self._behind_from)
         self._place((self.ranks, self._chunks, 4), self._tally)
         self._place((self.ranks, 4), self._needs)
         # The fields of the particles, and memory for those that leave on either side.
@@ -162,11 +164,12 @@ class Particles:
             return
         self._check(self._needs.to_numpy())
         parts.assign(
-            self.live, self._going, self._coming, self._tally, self._needs, self.ranks,
-            self.capacity,
+            self.live, self._going, self._before_from, self._behind_from, self._coming,
+            self._tally, self._needs, self.ranks, self.capacity,
         )  # fmt: skip
         for each, before, behind in self._moved:
-            parts.pack(each, before, behind, self._going)
+            parts.pack(each, before, self._before_from, self._needs, BEFORE)
+            parts.pack(each, behind, self._behind_from, self._needs, BEHIND)
             parts.unpack(each, before, behind, self._coming, self.ranks)
 
     def _check(self, needs: np.ndarray) -> None:

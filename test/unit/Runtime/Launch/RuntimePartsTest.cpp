@@ -55,7 +55,8 @@ struct Hosted : Stored {
   Recordings recordings{state, store};
   FieldCopies copies{workers, devices};
   Gradients gradients{store, recordings, copies, skips, counters};
-  HostWrites writes{store, memory, recordings, copies, devices};
+  Halos halos;
+  HostWrites writes{store, memory, recordings, copies, devices, halos};
 };
 
 /// A tape that records its calls.
