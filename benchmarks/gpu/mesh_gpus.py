@@ -2,9 +2,10 @@
 
     torchrun --standalone --nproc-per-node 2 benchmarks/gpu/mesh_gpus.py
 
-Each process first runs scenes of test/python/ranks alone and then together with the others. Then it
-times a wave, a smoke solver and material points, forward and backward: on one GPU, with the same size
-on all GPUs (strong scaling), and with as many rows for each GPU as one has alone (weak scaling).
+Each process first runs scenes of test/python/ranks alone and then together with the others. Then
+it times a wave, a smoke solver and material points, forward and backward: on one GPU, with the same
+size on all GPUs (strong scaling), and with as many rows for each GPU as one has alone (weak
+scaling).
 """
 
 import argparse
@@ -40,10 +41,11 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "test/python/ranks"))
 
 import numpy as np  # noqa: E402
-import rank_particles  # noqa: E402
-import rank_scenes  # noqa: E402
 import tai as ti  # noqa: E402
 from tai._impl.base import torch_ranks  # noqa: E402
+
+import rank_particles  # noqa: E402
+import rank_scenes  # noqa: E402
 
 TRANSPORT = torch_ranks.connect("gpus", WORLD, 300, args.arch == "cuda")
 

@@ -26,9 +26,9 @@ extern "C" {
 /// an integer, or minus the bits of a float; -17 stands for bf16. Dimension
 /// `rows`, if it is not negative, is divided among the ranks. `where` is the
 /// location of the access that needs the exchange, "file:line:col"; `kernel` is
-/// the name of the kernel that is launched. If `on_device` is not 0, `address` is
-/// memory of the GPU, which has done all earlier work; the handler returns when
-/// its own work there is done.
+/// the name of the kernel that is launched. If `on_device` is not 0, `address`
+/// is memory of the GPU, which has done all earlier work; the handler returns
+/// when its own work there is done.
 typedef struct TaiExchange {
   const char *kind, *field, *kernel, *where;
   int64_t element, digest, block, before, after;
@@ -40,8 +40,8 @@ typedef struct TaiExchange {
 
 /// Carries out an exchange, on the thread of the launch. Returns null, or the
 /// message of a failure, valid until the next call. If the launch has failed on
-/// this rank, `kind` is "fail", and `field` is the message: the other ranks wait
-/// in an exchange that this one does not reach.
+/// this rank, `kind` is "fail", and `field` is the message: the other ranks
+/// wait in an exchange that this one does not reach.
 typedef const char *(*TaiExchangeHandler)(const TaiExchange *exchange);
 
 /// Makes the process rank `rank` of a mesh of `ranks` processes. A null handler

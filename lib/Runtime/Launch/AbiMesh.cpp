@@ -141,11 +141,11 @@ extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
     if (!select(*plan, at, static_cast<char *>(tree), exchange))
       return;
     Halo halo{static_cast<const char *>(tree) + plan->offset,
-                     exchange.address,
-                     exchange.extents,
-                     exchange.strides,
-                     exchange.before,
-                     exchange.after};
+              exchange.address,
+              exchange.extents,
+              exchange.strides,
+              exchange.before,
+              exchange.after};
     auto kind = static_cast<size_t>(plan->kind);
     if (kind == kStale)
       return halos.removeChanged(halo);

@@ -142,8 +142,7 @@ static void emitChecks(ParallelForOp loop, const ShardPlan &plan) {
         "' on a rank that has rows {} to {}, with a halo of " +
         std::to_string(check.halo) +
         "; migrate the particles first, or choose a larger halo";
-    Value last =
-        arith::SubIOp::create(builder, loc, end, constant(builder, 1));
+    Value last = arith::SubIOp::create(builder, loc, end, constant(builder, 1));
     AssertOp::create(builder, loc, holds, builder.getStringAttr(message),
                      ValueRange{index, first, last},
                      builder.getI32IntegerAttr(TAI_FAIL_INDEX));

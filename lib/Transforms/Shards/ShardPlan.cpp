@@ -279,11 +279,13 @@ LogicalResult Planner::addFree(FieldAccessOpInterface access,
                           << "' that data choose, which is possible with "
                              "halo=0, for rows of the rank itself";
   if (*halo > sharding.block)
-    return refuse(access) << "the loop has halo=" << *halo << ", and a rank has "
-                          << sharding.block << " rows of '"
-                          << access.getFieldAttr() << "'";
+    return refuse(access) << "the loop has halo=" << *halo
+                          << ", and a rank has " << sharding.block
+                          << " rows of '" << access.getFieldAttr() << "'";
   int64_t rows = std::max<int64_t>(*halo, 0);
-  this->rows.push_back({access, {-rows, rows}, getFixed(access, sharding.dimension),
+  this->rows.push_back({access,
+                        {-rows, rows},
+                        getFixed(access, sharding.dimension),
                         /*isFree=*/true});
   if (*halo >= 0)
     plan.checks.push_back({access, sharding, *halo});
@@ -307,9 +309,8 @@ LogicalResult Planner::findAccesses() {
     }
     Value index = access.getIndices()[sharding->dimension];
     IndexExpr expr = builder.get(index);
-    bool isOfLoop = llvm::any_of(loop.getInductionVars(), [&](Value iv) {
-      return expr.mentions(iv);
-    });
+    bool isOfLoop = llvm::any_of(loop.getInductionVars(),
+                                 [&](Value iv) { return expr.mentions(iv); });
     if (halo && !isOfLoop)
       return failed(addFree(access, *sharding)) ? WalkResult::interrupt()
                                                 : WalkResult::advance();
@@ -558,8 +559,7 @@ LogicalResult Planner::planAllRows() {
       continue;
     auto atomic = dyn_cast<AtomicOp>(access.op.getOperation());
     for (const RowAccess &other : rows)
-      if (sharesField(access, other) &&
-          bool(atomic) != isa<AtomicOp>(other.op))
+      if (sharesField(access, other) && bool(atomic) != isa<AtomicOp>(other.op))
         return refuse(access.op)
                << "the loop reads and changes rows of '"
                << access.op.getFieldAttr() << "' that data choose";

@@ -213,8 +213,8 @@ LogicalResult ExchangeOp::verifySymbolUses(SymbolTableCollection &symbols) {
                          << sparse.getKind() << "' level";
   // (exchange_c2)
   std::optional<Sharding> sharding = getSharding(*layout);
-  bool isEither = llvm::is_contained({ExchangeKind::Open, ExchangeKind::Sum},
-                                     getKind());
+  bool isEither =
+      llvm::is_contained({ExchangeKind::Open, ExchangeKind::Sum}, getKind());
   if (!isEither && isAboutRows(getKind()) != sharding.has_value())
     return emitOpError() << "'" << stringifyExchangeKind(getKind())
                          << "' expects a field that is "

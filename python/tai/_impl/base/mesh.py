@@ -207,12 +207,10 @@ class Mesh:
             self._known.add(plan)
         memory = memory_of(on_device)
         view = memory.view(address, element, extents, strides)
-        by_rows = memory.rows_first(view, rows) if rows >= 0 else None
+        by_rows: Any = memory.rows_first(view, rows) if rows >= 0 else None
         low, high = self.rank * block, (self.rank + 1) * block
         if kind == "gather":
-            found = self.together(
-                action, lambda: memory.gather(self._transport, by_rows[low:high])
-            )
+            found = self.together(action, lambda: memory.gather(self._transport, by_rows[low:high]))
             for rank, other in enumerate(found):
                 by_rows[rank * block : (rank + 1) * block] = other
         elif kind == "open":

@@ -1,7 +1,8 @@
 """The kernels of `ti.Particles`: they move particles between neighbouring ranks.
 
-Index `r` is that of the rank in all fields, so that the compiler puts in the exchanges. The order of
-particles does not depend on threads: each chunk of slots is counted, and the counts are added up.
+Index `r` is that of the rank in all fields, so that the compiler puts in the exchanges. The order
+of particles does not depend on threads: each chunk of slots is counted, and the counts are added
+up.
 """
 
 from __future__ import annotations

@@ -73,7 +73,13 @@ class Particles:
                 )
             before, behind = (
                 make_field(
-                    each.element_shape, each.dtype, None, None, None, None, each.needs_grad,
+                    each.element_shape,
+                    each.dtype,
+                    None,
+                    None,
+                    None,
+                    None,
+                    each.needs_grad,
                     each.needs_dual,
                 )  # fmt: skip
                 for _ in range(2)
