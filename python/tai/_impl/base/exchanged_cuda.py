@@ -91,11 +91,11 @@ class DeviceMemory:
         if not _has_nccl(transport):
             return [torch.from_numpy(np.ascontiguousarray(each)).cuda()
                     for each in transport.all_gather(own.cpu().numpy())]  # fmt: skip
-        found = torch.empty((transport.size, *own.shape), dtype=own.dtype, device="cuda")
-        # NCCL has no numbers of 16 bits; bytes travel alike.
-        dist.all_gather_into_tensor(_bytes(found), _bytes(own))
+        found = [torch.empty_like(own) for _ in range(transport.size)]
+        # NCCL has no integers of 16 bits; bytes travel alike.
+        dist.all_gather([_bytes(each) for each in found], _bytes(own))
         _wait(transport)
-        return list(found)
+        return found
 
     def finish(self) -> None:
         torch.cuda.current_stream().synchronize()

@@ -49,7 +49,9 @@ def check_below(parent: Any, kind: str, extents: Mapping[int, int], letters: str
         return
     if kind != "dense":
         raise TaiRuntimeError(
-            f"a {kind} level cannot stand below a shard", "levels below a shard are dense"
+            f"a {kind} level cannot stand below a shard",
+            "levels below a shard are dense: place the sparse field beside the shard, where each "
+            "rank has a copy, or keep a dense field of the blocks",
         )
     extent = extents.get(shard.shard_axis)
     if extent is None:
