@@ -517,6 +517,53 @@ def slots():
     return [("a to b", form, (0, 1)), ("t to t + 1", next_one, (0,))]
 
 
+def wave(step):
+    """Three slots that the kernel `step(x, n)` selects, against three that follow each other."""
+    n = 60_000
+    x, y = real(3, n), real(3, n)
+
+    @ti.kernel
+    def in_order(t: ti.i32):
+        for i in range(1, n - 1):
+            y[t + 2, i] = 1.8 * y[t + 1, i] - y[t, i] + 0.1 * (y[t + 1, i - 1] + y[t + 1, i + 1])
+
+    return [("slots", *step(x, n)), ("t to t + 2", in_order, (0,))]
+
+
+@row
+def three_slots():
+    """Slots by three arguments, as of a wave equation."""
+
+    def make(x, n):
+        @ti.kernel
+        def form(a: ti.i32, b: ti.i32, c: ti.i32):
+            for i in range(1, n - 1):
+                x[c, i] = 1.8 * x[b, i] - x[a, i] + 0.1 * (x[b, i - 1] + x[b, i + 1])
+
+        return form, (0, 1, 2)
+
+    return wave(make)
+
+
+@row
+def ring():
+    """The same with slots by remainders of the time step."""
+
+    def make(x, n):
+        @ti.kernel
+        def form(t: ti.i32):
+            for i in range(1, n - 1):
+                x[(t + 2) % 3, i] = (
+                    1.8 * x[(t + 1) % 3, i]
+                    - x[t % 3, i]
+                    + 0.1 * (x[(t + 1) % 3, i - 1] + x[(t + 1) % 3, i + 1])
+                )
+
+        return form, (1,)
+
+    return wave(make)
+
+
 @row
 def upwind():
     """Three upwind terms in one kernel; to be compared with three times one."""

@@ -85,9 +85,12 @@ def VersionSlots : Pass<"tai-version-slots"> {
     outside of the loop, which may be equal or not, becomes three: for `b > a`,
     for `b < a`, and for equal indices, chosen where the loop begins. In the
     first, `b` is `a + max(b - a, 1)`, which is the same number and never `a`,
-    as analyses of indices see. `a` is the slot of the first access.
+    as analyses of indices see. `a` is the slot of the first access. Of three
+    slots, such as those of a wave equation, each of the six orders has a
+    version, in which both higher slots are such sums.
 
-    Loops with other open pairs, with more than `max-ops` operations, and in
+    Loops with more slots, with more than `max-ops` operations (of three slots a
+    third as many), and in
     kernels whose sums have one order for all targets stay as they are.
 
     ```mlir

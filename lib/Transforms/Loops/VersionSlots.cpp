@@ -9,7 +9,8 @@
 // reads and writes the same elements if the two are equal. Programs launch it
 // with slots that differ, which the kernel does not show. Two versions of the
 // loop are made, for b > a and for b < a, in which the indices show it:
-// analyses of indices see the distance as a value with a range.
+// analyses of indices see the distance as a value with a range. Of three slots
+// there are six orders, with a version each.
 //
 //===----------------------------------------------------------------------===//
 
@@ -32,13 +33,14 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-namespace {
 /// Two indices from outside of a loop that are possibly equal, by which the
 /// loop selects slots of a field.
-struct SlotPair {
-  Value first, second;
-};
-} // namespace
+using SlotPair = std::pair<Value, Value>;
+
+/// The most slots of a loop with versions.
+static constexpr size_t kMostSlots = 3;
+/// The versions of three slots against those of two.
+static constexpr int64_t kCopiesOfThree = 3;
 
 /// The first indices of two accesses to one storage that are the same in all
 /// iterations and may be equal or not; none if other such indices tell the
@@ -57,9 +59,10 @@ static std::optional<SlotPair> getOpenPair(ParallelForOp loop, ValueRange a,
   return open;
 }
 
-/// Returns the two indices (slots) of which only a launch knows whether they
-/// differ, if all accesses of the loop that may conflict have the same two.
-static std::optional<SlotPair> findSlots(ParallelForOp loop) {
+/// Returns the indices (slots) of which only a launch knows whether they
+/// differ, in all accesses of the loop that may conflict; empty if there are
+/// more than kMostSlots.
+static SmallVector<Value> findSlots(ParallelForOp loop) {
   llvm::MapVector<const void *, SmallVector<FieldAccessOpInterface>> accesses;
   bool adds = false;
   loop.getBody().walk([&](Operation *op) {
@@ -72,8 +75,8 @@ static std::optional<SlotPair> findSlots(ParallelForOp loop) {
   });
   // Other loops are vectorised behind a test that LLVM makes.
   if (!adds)
-    return std::nullopt;
-  std::optional<SlotPair> found;
+    return {};
+  SmallVector<Value> found;
   for (auto &[storage, all] : accesses)
     for (auto [number, access] : llvm::enumerate(all))
       for (FieldAccessOpInterface other :
@@ -84,35 +87,73 @@ static std::optional<SlotPair> findSlots(ParallelForOp loop) {
             getOpenPair(loop, access.getIndices(), other.getIndices());
         if (!open)
           continue;
-        if (!found)
-          found = open;
-        bool isKnown = areProvablyEqual(found->first, open->first) &&
-                       areProvablyEqual(found->second, open->second);
-        bool isSwapped = areProvablyEqual(found->first, open->second) &&
-                         areProvablyEqual(found->second, open->first);
-        if (!isKnown && !isSwapped)
-          return std::nullopt;
+        for (Value slot : {open->first, open->second})
+          if (llvm::none_of(found, [&](Value other) {
+                return areProvablyEqual(slot, other);
+              }))
+            found.push_back(slot);
+        if (found.size() > kMostSlots)
+          return {};
       }
   return found;
 }
 
-/// Emits a copy of the loop in which the index `slots.second` is computed as
-/// `slots.first` plus the distance of both, limited by `Limit` (a minimum or
-/// maximum) to one side of zero.
-template <typename Limit>
-static void createVersion(ImplicitLocOpBuilder &b, ParallelForOp loop,
-                          const SlotPair &slots, Value distance, int64_t step) {
-  Value limited =
-      Limit::create(b, distance, arith::ConstantIndexOp::create(b, step));
-  Value apart = arith::AddIOp::create(b, slots.first, limited);
-  auto version = cast<ParallelForOp>(b.clone(*loop));
+/// Replaces the index `slot` in the accesses of a version of a loop.
+static void replaceSlot(ParallelForOp version, Value slot, Value by) {
   version.getBody().walk([&](FieldAccessOpInterface access) {
     for (OpOperand &operand : access->getOpOperands())
       if (operand.get().getType().isIndex() &&
           version.isDefinedOutsideOfLoop(operand.get()) &&
-          areProvablyEqual(operand.get(), slots.second))
-        operand.set(apart);
+          areProvablyEqual(operand.get(), slot))
+        operand.set(by);
   });
+}
+
+/// Returns `slot` as the sum of `from` and the distance of both, limited by
+/// `Limit` (a minimum or maximum) to one side of zero.
+template <typename Limit>
+static Value emitApart(ImplicitLocOpBuilder &b, Value from, Value distance,
+                       int64_t step) {
+  Value limited =
+      Limit::create(b, distance, arith::ConstantIndexOp::create(b, step));
+  return arith::AddIOp::create(b, from, limited);
+}
+
+/// Emits a copy of the loop in which the index `slots.second` is a limited
+/// distance from `slots.first`.
+template <typename Limit>
+static void createVersion(ImplicitLocOpBuilder &b, ParallelForOp loop,
+                          const SlotPair &slots, Value distance, int64_t step) {
+  Value apart = emitApart<Limit>(b, slots.first, distance, step);
+  replaceSlot(cast<ParallelForOp>(b.clone(*loop)), slots.second, apart);
+}
+
+/// Emits versions of the loop for each order of three slots.
+static void versionThree(ParallelForOp loop, ArrayRef<Value> slots) {
+  ImplicitLocOpBuilder b(loop.getLoc(), loop);
+  Value zero = arith::ConstantIndexOp::create(b, 0);
+  SmallVector<unsigned> order{0, 1, 2};
+  do {
+    Value low = slots[order[0]], middle = slots[order[1]],
+          high = slots[order[2]];
+    Value first = arith::SubIOp::create(b, middle, low);
+    Value second = arith::SubIOp::create(b, high, middle);
+    auto isAbove = [&](Value distance) -> Value {
+      return arith::CmpIOp::create(b, arith::CmpIPredicate::slt, zero,
+                                   distance);
+    };
+    auto branch = scf::IfOp::create(
+        b, arith::AndIOp::create(b, isAbove(first), isAbove(second)),
+        /*withElseRegion=*/true);
+    b.setInsertionPointToStart(branch.thenBlock());
+    Value above = emitApart<arith::MaxSIOp>(b, low, first, 1);
+    Value top = emitApart<arith::MaxSIOp>(b, above, second, 1);
+    auto version = cast<ParallelForOp>(b.clone(*loop));
+    replaceSlot(version, middle, above);
+    replaceSlot(version, high, top);
+    b.setInsertionPointToStart(branch.elseBlock());
+  } while (std::next_permutation(order.begin(), order.end()));
+  loop->moveBefore(b.getInsertionBlock(), b.getInsertionBlock()->begin());
 }
 
 static void version(ParallelForOp loop, const SlotPair &slots) {
@@ -154,8 +195,11 @@ struct VersionSlots : tai::impl::VersionSlotsBase<VersionSlots> {
       loop.getBody().walk([&](Operation *) { ++ops; });
       if (ops > maxOps)
         continue;
-      if (std::optional<SlotPair> slots = findSlots(loop))
-        version(loop, *slots);
+      SmallVector<Value> slots = findSlots(loop);
+      if (slots.size() == 2)
+        version(loop, {slots[0], slots[1]});
+      else if (slots.size() == 3 && ops * kCopiesOfThree <= maxOps)
+        versionThree(loop, slots);
     }
   }
 };
