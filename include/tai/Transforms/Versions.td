@@ -85,12 +85,12 @@ def VersionSlots : Pass<"tai-version-slots"> {
     outside of the loop, which may be equal or not, becomes three: for `b > a`,
     for `b < a`, and for equal indices, chosen where the loop begins. In the
     first, `b` is `a + max(b - a, 1)`, which is the same number and never `a`,
-    as analyses of indices see. `a` is the slot of the first access. Of three
-    slots, such as those of a wave equation, each of the six orders has a
-    version, in which both higher slots are such sums.
+    as analyses of indices see. `a` is the slot of the first access. The slots
+    `a`, `b` and `c` of a wave equation have six orders, with a version each, in
+    which both higher slots are such sums.
 
-    Loops with more slots, with more than `max-ops` operations (of three slots a
-    third as many), and in
+    Loops with more slots, with more than `max-ops` operations (a third as many
+    for three slots), and in
     kernels whose sums have one order for all targets stay as they are.
 
     ```mlir

@@ -13,6 +13,7 @@
 #include "tai/ExecutionEngine/Reports/Explain.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Analysis/LoopBox.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
 #include "tai/CodeGen/Diagnostics.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/Modules/ModuleFile.h"
@@ -147,6 +148,17 @@ static bool isSerialLoop(Operation *op) {
   return isa<scf::ForOp, scf::WhileOp>(op);
 }
 
+/// Prints what the cost model expects of a loop on one core; the number of
+/// threads of a launch depends on it.
+static void describeCost(llvm::raw_ostream &os, ParallelForOp loop,
+                         std::optional<int64_t> iterations) {
+  double each = estimateIteration(loop, /*isIndependent=*/true);
+  os << llvm::formatv("    estimated at {0:f1} ns for an iteration", each);
+  if (iterations)
+    os << llvm::formatv(", {0:f1} us in all", each * *iterations * 1e-3);
+  os << ", on one core\n";
+}
+
 static void describeParallelLoop(llvm::raw_ostream &os, ParallelForOp loop,
                                  bool onDevice) {
   os << "  parallel loop at " << formatPlace(loop.getLoc()) << ": ";
@@ -178,6 +190,8 @@ static void describeParallelLoop(llvm::raw_ostream &os, ParallelForOp loop,
     os << "; so few threads, each with a serial loop, leave most of a GPU "
           "idle: the CPU may be faster";
   os << '\n';
+  if (!onDevice)
+    describeCost(os, loop, iterations);
 }
 
 /// Describes the loops that threads share, and the serial loops around these.
@@ -241,6 +255,26 @@ static void describeGathers(llvm::raw_ostream &os, StringRef where,
   }
 }
 
+/// Says for which values of a launch a loop has versions. The versions that one
+/// pass makes may have a line each from a later one.
+static void describeVersions(llvm::raw_ostream &os, StringRef where,
+                             ArrayRef<KeptRemark> remarks) {
+  llvm::StringSet<> lines;
+  for (const KeptRemark &remark : remarks) {
+    if (remark.category != "tai-versions")
+      continue;
+    StringRef reason = remark.get("Reason");
+    std::string line =
+        llvm::formatv("{0} at {1}: {2}versions of the loop for {3}", where,
+                      formatPlace(remark.location), reason.empty() ? "" : "no ",
+                      remark.get("Values"));
+    if (!reason.empty())
+      line += (", because " + reason).str();
+    if (lines.insert(line).second)
+      os << "  " << line << '\n';
+  }
+}
+
 /// "3 rows before and 1 row behind those of the rank".
 static std::string formatHalos(const KeptRemark &remark) {
   SmallVector<std::string> sides;
@@ -282,6 +316,7 @@ std::string mlir::tai::explainGathers(StringRef where,
                                       ArrayRef<KeptRemark> remarks) {
   std::string text;
   llvm::raw_string_ostream os(text);
+  describeVersions(os, where, remarks);
   describeGathers(os, where, remarks);
   return text;
 }
@@ -298,6 +333,8 @@ std::string mlir::tai::explainKernel(ModuleOp module, StringRef name,
   if (kernel)
     describeLoops(os, kernel, onDevice);
   describeUpdates(os, lowering);
+  describeVersions(os, "kernel", lowering);
+  describeVersions(os, "gradient", gradient);
   describeGathers(os, "kernel", lowering);
   describeGathers(os, "gradient", gradient);
   describeExchanges(os, "kernel", lowering);

@@ -16,8 +16,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "OtherIterations.h"
 #include "IterationShadow.h"
+#include "OtherIterations.h"
 #include "mlir/Analysis/SliceAnalysis.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
@@ -181,6 +181,9 @@ void OtherIterations::report() {
 //===----------------------------------------------------------------------===//
 
 namespace {
+/// Factors of indices up to this one cannot make products in i64 wrap.
+constexpr int64_t kLargestFactor = int64_t(1) << 20;
+
 /// Emits, before a loop, a test whether two accesses reach the same element in
 /// different iterations.
 class MeetingBuilder {
@@ -198,7 +201,21 @@ private:
     Value lower, upper;
   };
 
+  /// The index of one of the iterations as a multiple, by another number than
+  /// 1, of the index of the other iteration, and an offset.
+  struct Multiple {
+    bool isOfRead; // the index that is the multiple
+    int64_t factor;
+    IndexExpr offset;
+  };
+
   bool addEquation(const IndexExpr &lhs, const IndexExpr &rhs);
+  bool addCrossed(int ofWrite, int ofRead, IndexExpr difference,
+                  int64_t factor);
+  bool requireCrossed(ArrayRef<Bounds> writes, ArrayRef<Bounds> reads);
+  bool addMultiple(unsigned dim, IndexExpr difference, int64_t ofWrite,
+                   int64_t ofRead);
+  bool requireMultiple(const Multiple &multiple, Bounds source, Bounds target);
   std::optional<std::pair<int, int64_t>> getLoopTerm(const IndexExpr &form);
   bool getBounds(const IndexLimits &limits, SmallVector<Bounds> &bounds);
   Value emit(const IndexExpr &expr);
@@ -214,6 +231,10 @@ private:
   void require(Value condition) {
     meets = meets ? b.createOrFold<arith::AndIOp>(meets, condition) : condition;
   }
+  void addDifference(Value condition) {
+    differ =
+        differ ? b.createOrFold<arith::OrIOp>(differ, condition) : condition;
+  }
 
   ParallelForOp loop;
   ImplicitLocOpBuilder b;
@@ -222,7 +243,12 @@ private:
   /// For each dimension of the loop: the index of the reading iteration minus
   /// the index of the writing iteration.
   SmallVector<std::optional<IndexExpr>> differences;
-  Value meets;
+  SmallVector<std::optional<Multiple>> multiples;
+  /// For each dimension: the index of the reading iteration along the other
+  /// dimension minus the index of the writing iteration along this one.
+  std::array<std::optional<IndexExpr>, 2> crossed;
+  /// Whether the accesses meet, and whether two iterations that do so differ.
+  Value meets, differ;
 };
 } // namespace
 
@@ -317,16 +343,23 @@ MeetingBuilder::getLoopTerm(const IndexExpr &form) {
 /// supported.
 bool MeetingBuilder::addEquation(const IndexExpr &lhs, const IndexExpr &rhs) {
   auto a = getLoopTerm(lhs), c = getLoopTerm(rhs);
-  if (!a || !c || a->first != c->first || a->second != c->second)
+  if (!a || !c)
     return false;
   IndexExpr difference = lhs;
   difference.add(rhs, -1);
+  if (a->first != c->first)
+    return a->second == c->second &&
+           addCrossed(a->first, c->first, std::move(difference), a->second);
+  if (a->second != c->second)
+    return addMultiple(a->first, std::move(difference), a->second, c->second);
   if (a->first < 0) {
     Value distance = emit(difference);
     if (distance)
       require(compare(arith::CmpIPredicate::eq, distance, number(0)));
     return distance != nullptr;
   }
+  if (rank == 2 && (crossed[0] || crossed[1]))
+    return false;
   // The equation has become factor * j = factor * i + difference.
   int64_t factor = a->second;
   if (difference.isConstant() && difference.constant % factor == 0)
@@ -336,9 +369,110 @@ bool MeetingBuilder::addEquation(const IndexExpr &lhs, const IndexExpr &rhs) {
   else if (factor == -1)
     difference = IndexExpr(0).add(difference, -1);
   std::optional<IndexExpr> &known = differences[a->first];
-  if (known && known->compare(difference) != 0)
+  if ((known && known->compare(difference) != 0) || multiples[a->first])
     return false;
   known = difference;
+  return true;
+}
+
+/// Adds the equation factor * i + lhs == factor * j + rhs, where i and j are
+/// indices along different dimensions, as in a transposition, and `difference`
+/// is the left side minus the right side with the same indices in both. False
+/// if the equation is not supported.
+bool MeetingBuilder::addCrossed(int ofWrite, int ofRead, IndexExpr difference,
+                                int64_t factor) {
+  if (rank != 2 || ofWrite < 0 || ofRead < 0 || std::abs(factor) != 1 ||
+      crossed[ofWrite])
+    return false;
+  difference.add(IndexExpr(loop.getInductionVars()[ofWrite]), -factor);
+  difference.add(IndexExpr(loop.getInductionVars()[ofRead]), factor);
+  IndexExpr distance(0);
+  distance.add(difference, factor);
+  crossed[ofWrite] = std::move(distance);
+  return true;
+}
+
+/// Requires that iterations with crossed indices are in both ranges, and adds
+/// the conditions that two of them differ.
+bool MeetingBuilder::requireCrossed(ArrayRef<Bounds> writes,
+                                    ArrayRef<Bounds> reads) {
+  using Predicate = arith::CmpIPredicate;
+  std::array<Value, 2> first, image;
+  for (unsigned dim : {0, 1}) {
+    Value distance = crossed[dim] ? emit(*crossed[dim]) : Value();
+    if (!distance || differences[dim] || multiples[dim])
+      return false;
+    const Bounds &other = reads[1 - dim];
+    Value from = b.createOrFold<arith::MaxSIOp>(
+        writes[dim].lower,
+        b.createOrFold<arith::SubIOp>(other.lower, distance));
+    Value to = b.createOrFold<arith::MinSIOp>(
+        writes[dim].upper,
+        b.createOrFold<arith::SubIOp>(other.upper, distance));
+    require(compare(Predicate::slt, from, to));
+    Value count = b.createOrFold<arith::SubIOp>(to, from);
+    addDifference(compare(Predicate::sgt, count, number(1)));
+    first[dim] = from;
+    image[1 - dim] = b.createOrFold<arith::AddIOp>(from, distance);
+  }
+  // An iteration alone meets itself if both indices are their images.
+  for (unsigned dim : {0, 1})
+    addDifference(compare(Predicate::ne, first[dim], image[dim]));
+  return true;
+}
+
+/// Adds the equation ofWrite * i + lhs == ofRead * j + rhs along `dim`, where
+/// `difference` is the left side minus the right side with the same index in
+/// both. False if the equation is not supported.
+bool MeetingBuilder::addMultiple(unsigned dim, IndexExpr difference,
+                                 int64_t ofWrite, int64_t ofRead) {
+  difference.add(IndexExpr(loop.getInductionVars()[dim]), ofRead - ofWrite);
+  bool isOfRead = std::abs(ofWrite) != 1;
+  int64_t unit = isOfRead ? ofRead : ofWrite;
+  int64_t factor = isOfRead ? ofWrite : ofRead;
+  // A dimension has one equation.
+  if (std::abs(unit) != 1 || factor == 0 || std::abs(factor) > kLargestFactor ||
+      differences[dim] || multiples[dim])
+    return false;
+  IndexExpr offset(0);
+  offset.add(difference, isOfRead ? unit : -unit);
+  multiples[dim] = Multiple{isOfRead, factor * unit, std::move(offset)};
+  return true;
+}
+
+/// Requires that a multiple of an index in the range `source` is in the range
+/// `target`, and adds the condition that one of them differs from its index.
+bool MeetingBuilder::requireMultiple(const Multiple &multiple, Bounds source,
+                                     Bounds target) {
+  Value offset = emit(multiple.offset);
+  if (!offset)
+    return false;
+  using Predicate = arith::CmpIPredicate;
+  Value one = number(1), size = number(std::abs(multiple.factor));
+  Value last = b.createOrFold<arith::SubIOp>(target.upper, one);
+  auto divide = [&](Value x, Value y) {
+    return b.createOrFold<arith::FloorDivSIOp>(
+        b.createOrFold<arith::SubIOp>(x, y), size);
+  };
+  // The index is from (lower - offset) / factor to (last - offset) / factor,
+  // rounded to the inside; with a negative factor, the other way round.
+  bool isPositive = multiple.factor > 0;
+  Value from =
+      isPositive
+          ? divide(b.createOrFold<arith::SubIOp>(target.lower, one), offset)
+          : divide(offset, target.upper);
+  Value to = isPositive ? divide(last, offset) : divide(offset, target.lower);
+  from = b.createOrFold<arith::MaxSIOp>(
+      source.lower, b.createOrFold<arith::AddIOp>(from, one));
+  to = b.createOrFold<arith::MinSIOp>(source.upper,
+                                      b.createOrFold<arith::AddIOp>(to, one));
+  require(compare(Predicate::slt, from, to));
+  // One index at most is its own multiple.
+  Value count = b.createOrFold<arith::SubIOp>(to, from);
+  addDifference(compare(Predicate::sgt, count, one));
+  Value moved = b.createOrFold<arith::AddIOp>(
+      b.createOrFold<arith::MulIOp>(from, number(multiple.factor - 1)), offset);
+  addDifference(compare(Predicate::ne, moved, number(0)));
   return true;
 }
 
@@ -376,6 +510,7 @@ Value MeetingBuilder::create(DifferentiableAccessInterface write,
   if (!ofWrite || !ofRead)
     return {};
   differences.resize(rank);
+  multiples.resize(rank);
   auto add = [&](ValueRange lhs, ValueRange rhs) {
     return llvm::all_of(llvm::zip_equal(lhs, rhs), [&](auto pair) {
       auto [a, c] = pair;
@@ -391,12 +526,17 @@ Value MeetingBuilder::create(DifferentiableAccessInterface write,
   if (!getBounds(*ofWrite, writes) || !getBounds(*ofRead, reads))
     return {};
   using Predicate = arith::CmpIPredicate;
-  Value differ;
-  auto addDifference = [&](Value condition) {
-    differ =
-        differ ? b.createOrFold<arith::OrIOp>(differ, condition) : condition;
-  };
-  for (size_t dim = 0; dim != rank; ++dim) {
+  bool isCrossed = crossed[0] || crossed[1];
+  if (isCrossed && !requireCrossed(writes, reads))
+    return {};
+  for (size_t dim = 0; dim != (isCrossed ? 0 : rank); ++dim) {
+    if (const std::optional<Multiple> &multiple = multiples[dim]) {
+      bool isRead = multiple->isOfRead;
+      if (!requireMultiple(*multiple, isRead ? writes[dim] : reads[dim],
+                           isRead ? reads[dim] : writes[dim]))
+        return {};
+      continue;
+    }
     auto [from, to] = writes[dim];
     auto [readFrom, readTo] = reads[dim];
     if (differences[dim]) {

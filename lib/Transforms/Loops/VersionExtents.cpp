@@ -12,6 +12,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "VersionRemarks.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
@@ -187,8 +188,10 @@ struct VersionExtents : tai::impl::VersionExtentsBase<VersionExtents> {
       Region &kernel =
           loop->getParentOfType<FunctionOpInterface>().getFunctionBody();
       std::optional<KnownSizes> sizes = findSizes(loop, kernel);
-      if (sizes && !sizes->empty() && canGain(loop, kernel, *sizes))
+      if (sizes && !sizes->empty() && canGain(loop, kernel, *sizes)) {
+        reportVersions(loop, "arguments that are extents of fields");
         version(loop, kernel, *sizes);
+      }
     }
   }
 };

@@ -12,6 +12,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "VersionRemarks.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
@@ -525,8 +526,10 @@ struct VersionRanges : tai::impl::VersionRangesBase<VersionRanges> {
           (hasFixedBits(loop) && hasSum(loop)))
         continue;
       RangeDecider decider(loop);
-      if (decider.run())
+      if (decider.run()) {
+        reportVersions(loop, "ranges that are longer than their borders");
         version(loop, decider, *arrays);
+      }
     }
   }
 };

@@ -9,11 +9,12 @@
 // reads and writes the same elements if the two are equal. Programs launch it
 // with slots that differ, which the kernel does not show. Two versions of the
 // loop are made, for b > a and for b < a, in which the indices show it:
-// analyses of indices see the distance as a value with a range. Of three slots
-// there are six orders, with a version each.
+// analyses of indices see the distance as a value with a range. Three slots
+// have six orders, with a version each.
 //
 //===----------------------------------------------------------------------===//
 
+#include "VersionRemarks.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
@@ -60,8 +61,8 @@ static std::optional<SlotPair> getOpenPair(ParallelForOp loop, ValueRange a,
 }
 
 /// Returns the indices (slots) of which only a launch knows whether they
-/// differ, in all accesses of the loop that may conflict; empty if there are
-/// more than kMostSlots.
+/// differ, in all accesses of the loop that may conflict. The search ends
+/// beyond kMostSlots.
 static SmallVector<Value> findSlots(ParallelForOp loop) {
   llvm::MapVector<const void *, SmallVector<FieldAccessOpInterface>> accesses;
   bool adds = false;
@@ -93,7 +94,7 @@ static SmallVector<Value> findSlots(ParallelForOp loop) {
               }))
             found.push_back(slot);
         if (found.size() > kMostSlots)
-          return {};
+          return found;
       }
   return found;
 }
@@ -191,14 +192,28 @@ struct VersionSlots : tai::impl::VersionSlotsBase<VersionSlots> {
       if (loop.getSerialize() || loop.getInOrder() || checksIndices(loop) ||
           hasCommonOrder(loop))
         continue;
+      SmallVector<Value> slots = findSlots(loop);
+      if (slots.empty())
+        continue;
+      constexpr llvm::StringLiteral values = "slots that differ";
+      if (slots.size() > kMostSlots) {
+        reportVersions(loop, values,
+                       "more than " + Twine(kMostSlots) + " may be equal");
+        continue;
+      }
       int64_t ops = 0;
       loop.getBody().walk([&](Operation *) { ++ops; });
-      if (ops > maxOps)
+      int64_t most = slots.size() == 2 ? maxOps : maxOps / kCopiesOfThree;
+      if (ops > most) {
+        reportVersions(loop, values,
+                       "the loop has " + Twine(ops) +
+                           " operations, and the limit is " + Twine(most));
         continue;
-      SmallVector<Value> slots = findSlots(loop);
+      }
+      reportVersions(loop, values);
       if (slots.size() == 2)
         version(loop, {slots[0], slots[1]});
-      else if (slots.size() == 3 && ops * kCopiesOfThree <= maxOps)
+      else
         versionThree(loop, slots);
     }
   }

@@ -108,6 +108,71 @@ tai.kernel @by_a_field() {
   tai.return
 }
 
+// A mirrored index: up to floor((m - 0) / 1), from floor((m - n) / 1) + 1 on.
+// CHECKS-LABEL: tai.kernel @mirrored
+// CHECKS-SAME: (%[[M:.*]]: index, %[[N:.*]]: index)
+// CHECKS: arith.maxsi
+// CHECKS: arith.minsi
+// CHECKS: tai.precondition
+// CHECKS: tai.parallel_for
+tai.kernel @mirrored(%m: index, %n: index) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = arith.subi %m, %i : index
+    %1 = tai.load @x[%0] : f32
+    tai.store %1, @x[%i] : f32
+  }
+  tai.return
+}
+
+// A scaled index is divided.
+// CHECKS-LABEL: tai.kernel @scaled
+// CHECKS-COUNT-2: arith.floordivsi
+// CHECKS: tai.precondition
+// CHECKS: tai.parallel_for
+tai.kernel @scaled(%m: index, %n: index) {
+  %c0 = arith.constant 0 : index
+  %c3 = arith.constant 3 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = arith.muli %i, %c3 : index
+    %1 = arith.addi %0, %m : index
+    %2 = tai.load @x[%1] : f32
+    tai.store %2, @x[%i] : f32
+  }
+  tai.return
+}
+
+// CHECKS-LABEL: tai.kernel @transposed
+// CHECKS-SAME: (%[[N:.*]]: index)
+// CHECKS: tai.precondition
+// CHECKS: tai.parallel_for
+tai.kernel @transposed(%n: index) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i, %j) = (%c0, %c0) to (%n, %n) {
+    %0 = tai.load @z[%j, %i] : f32
+    tai.store %0, @z[%i, %j] : f32
+  }
+  tai.return
+}
+
+// Neither index has the factor 1: no test before the launch.
+// CHECKS-LABEL: tai.kernel @two_factors
+// CHECKS-NOT: tai.precondition
+// CHECKS: tai.parallel_for
+tai.kernel @two_factors(%m: index, %n: index) {
+  %c0 = arith.constant 0 : index
+  %c2 = arith.constant 2 : index
+  %c3 = arith.constant 3 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = arith.muli %i, %c3 : index
+    %1 = arith.addi %0, %m : index
+    %2 = arith.muli %i, %c2 : index
+    %3 = tai.load @x[%1] : f32
+    tai.store %3, @x[%2] : f32
+  }
+  tai.return
+}
+
 // CHECKS-LABEL: tai.kernel @permuted
 // CHECKS: %[[WRITERS:.*]] = memref.alloc() : memref<64xf64>
 // CHECKS: %[[READERS:.*]] = memref.alloc() : memref<64xf64>

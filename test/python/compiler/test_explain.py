@@ -162,6 +162,62 @@ def test_loops_of_threads_and_of_one_thread():
     assert f"parallel loop at {at('# one iteration')}1 iteration\n" in text
 
 
+def test_the_estimated_cost_of_loops():
+    """Numbers of the cost model, for an iteration, and for the loop if its bounds are known."""
+    ti.init(arch=ti.cpu, offline_cache=False)
+    x = ti.field(ti.f32, shape=1000)
+
+    @ti.kernel
+    def kernel(n: ti.i32):
+        for i in x:
+            x[i] = ti.sin(x[i])
+        for i in range(n):
+            x[i] = 2.0
+
+    found = re.findall(
+        r"estimated at ([\d.]+) ns for an iteration(?:, ([\d.]+) us in all)?, on one core\n",
+        kernel.explain(),
+    )
+    assert [bool(total) for _, total in found] == [True, False]
+    assert float(found[0][1]) == pytest.approx(float(found[0][0]), abs=0.11)
+    assert float(found[0][0]) > float(found[1][0])
+
+
+def test_versions_for_values_of_the_launch():
+    """Versions have a line, and so do loops that are too long for them."""
+    ti.init(arch=ti.cpu, offline_cache=False)
+    n = 100
+    x = ti.field(ti.f32, shape=(4, n), needs_grad=True)
+    y = ti.field(ti.f32, shape=n, needs_grad=True)
+
+    @ti.kernel
+    def three(a: ti.i32, b: ti.i32, c: ti.i32):
+        for i in range(n - 1):  # three slots
+            x[c, i] = x[a, i + 1] - x[b, i]
+
+    @ti.kernel
+    def four(a: ti.i32, b: ti.i32, c: ti.i32, d: ti.i32):
+        for i in range(n - 1):  # four slots
+            x[d, i] = x[a, i + 1] - x[b, i] * x[c, i]
+
+    @ti.kernel
+    def bound(m: ti.i32):
+        for i in range(m):  # a bound
+            y[i] = x[0, (i + 1) % m]
+
+    def line(kernel, mark):
+        return f"at test_explain.py:{line_of(kernel, mark)}: "
+
+    at = line(three, "# three slots")
+    assert f"gradient {at}versions of the loop for slots that differ\n" in three.explain(0, 1, 2)
+    at = line(four, "# four slots")
+    why = "no versions of the loop for slots that differ, because more than 3 may be equal\n"
+    assert f"gradient {at}{why}" in four.explain(0, 1, 2, 3)
+    at = line(bound, "# a bound")
+    for values in ("arguments that are extents of fields", "ranges that are longer than their"):
+        assert f"kernel {at}versions of the loop for {values}" in bound.explain(9)
+
+
 def test_one_thread_of_a_gpu():
     """A serial loop on a GPU is named, with a way out."""
     program = Path(__file__).with_name("explain_on_a_device.py")

@@ -187,8 +187,10 @@ class Kernel(native.Launcher):
         return self._find(args).core.ir(stage)
 
     def explain(self, *args: Any) -> str:
-        """Describes the sums and the gradient of the kernel in words.
+        """Describes the loops, the sums and the gradient of the kernel in words.
 
+        For each parallel loop: its iterations, and on the CPU the time that the cost model
+        expects; and for which values of a launch it has versions, or why it has none.
         For each update in a parallel loop: its form, the digits of the sum and the order of its
         terms (see docs/guides/precision.md), or why it stays atomic. For each field to which the
         iterations of a loop add at the elements of others, as gradients of stencils do: whether
