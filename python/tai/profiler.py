@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import weakref
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,9 +21,13 @@ from ._impl.base.skips import Skips as Skips
 from ._impl.base.skips import clear_skips as clear_skips
 from ._impl.base.skips import print_skips as print_skips
 from ._impl.base.skips import skips as skips
+from ._impl.launch import bandwidth
 from .errors import TaiRuntimeError, spelled
 
 _KINDS = ("host", "device", "memory")
+
+# The measured bandwidth of each program, in GB/s.
+_roofs: weakref.WeakKeyDictionary[Any, float] = weakref.WeakKeyDictionary()
 
 
 @dataclass
@@ -38,6 +43,7 @@ class KernelStats:
         registers, local_bytes: of a thread; shared_bytes: of a block; None if not known.
         occupancy: resident threads of this kernel by the maximum of a GPU, 0 to 1.
         blocks, threads: of the last launch; threads of one block.
+        roof: the bandwidth that `measure_bandwidth` has found, in GB/s; None before.
     """
 
     name: str
@@ -54,6 +60,7 @@ class KernelStats:
     occupancy: float | None = None
     blocks: int = 0
     threads: int = 0
+    roof: float | None = None
 
     @property
     def avg(self) -> float:
@@ -66,6 +73,13 @@ class KernelStats:
             return None
         return self.bytes * self.counter / self.total * 1e-6
 
+    @property
+    def roofline(self) -> float | None:
+        """The share of the measured bandwidth that the kernel reaches, 0 to 1; more than 1 if its
+        memory is in a cache. None for kernels without `bytes`, and before `measure_bandwidth`."""
+        used = self.gigabytes_per_second
+        return None if used is None or not self.roof else used / self.roof
+
 
 def _known(number: Any) -> Any:
     return None if number < 0 else number
@@ -77,6 +91,22 @@ def _context() -> Any:
     return state.program.context
 
 
+def measure_bandwidth() -> float:
+    """Measures the memory bandwidth, in GB/s, by a kernel that reads and writes 64 MiB each.
+
+    The number is of all threads of the program, or of the GPU, and is measured once for each
+    program. Statistics have the share that each kernel reaches from then on: its `roofline`.
+
+    Raises:
+        TaiRuntimeError: a tape records, or `ti.init` was not called.
+    """
+    if state.program is None:
+        raise TaiRuntimeError("there is no program to measure", "call ti.init first")
+    if state.program not in _roofs:
+        _roofs[state.program] = bandwidth.measure_bandwidth()
+    return _roofs[state.program]
+
+
 def get_stats(memory: bool = False) -> list[KernelStats]:
     """The statistics of all kernels since the last clear, longest first; waits for the GPU.
 
@@ -86,22 +116,17 @@ def get_stats(memory: bool = False) -> list[KernelStats]:
     if state.program is None:
         return []
     rows = []
+    roof = _roofs.get(state.program)
     for name, counter, total, least, most, place, kind, *rest in _context().profile():
+        if spelled(name).startswith(bandwidth.PREFIX):
+            continue
         if memory or _KINDS[kind] != "memory":
             known = [_known(number) for number in rest[:5]]
-            rows.append(
-                KernelStats(
-                    spelled(name),
-                    counter,
-                    total,
-                    least,
-                    most,
-                    _KINDS[kind],
-                    place,
-                    *known,
-                    *rest[5:],
-                )  # fmt: skip
+            row = KernelStats(
+                spelled(name), counter, total, least, most, _KINDS[kind], place, *known, *rest[5:]
             )
+            row.roof = roof
+            rows.append(row)
     return sorted(rows, key=lambda row: -row.total)
 
 
@@ -116,6 +141,9 @@ def _print_counts() -> None:
     device = any(row.kind != "host" for row in rows)
     title = f"{'%':>7} {'total ms':>11} {'calls':>9} {'min ms':>9} {'avg ms':>9} {'max ms':>9}"
     title += f" {'GB/s':>8}"
+    has_roof = any(row.roof for row in rows)
+    if has_roof:
+        title += f" {'roof':>6}"
     if device:
         title += f" {'regs':>5} {'local':>6} {'shared':>7} {'occup.':>7} {'blocks x threads':>17}"
     print(title + "  kernel")
@@ -127,6 +155,8 @@ def _print_counts() -> None:
         line = f"{100 * row.total / total:6.2f}% {row.total:11.3f} {row.counter:9d} "
         line += f"{row.min:9.4f} {row.avg:9.4f} {row.max:9.4f}"
         line += show(row.gigabytes_per_second, 8, ".1f")
+        if has_roof:
+            line += show(row.roofline, 6, ".0%")
         if device:
             line += show(row.registers, 5) + show(row.local_bytes, 6) + show(row.shared_bytes, 7)
             line += show(row.occupancy, 7, ".0%")
@@ -150,14 +180,20 @@ def print_kernel_profiler_info(mode: str = "count") -> None:
     """Prints the times of kernels as a table.
 
     Args:
-        mode: `count`, a table of kernels; or `trace`, each launch in order.
+        mode: `count`, a table of kernels; `roofline`, the same with the share of the measured
+            bandwidth that each reaches; or `trace`, each launch in order.
     """
     if mode == "count":
+        _print_counts()
+    elif mode == "roofline":
+        print(f"measured bandwidth: {measure_bandwidth():.1f} GB/s")
         _print_counts()
     elif mode == "trace":
         _print_launches()
     else:
-        raise TaiRuntimeError(f"there is no mode {mode!r}", "the modes are 'count' and 'trace'")
+        raise TaiRuntimeError(
+            f"there is no mode {mode!r}", "the modes are 'count', 'roofline' and 'trace'"
+        )
 
 
 def _events() -> list[dict[str, Any]]:
@@ -167,7 +203,8 @@ def _events() -> list[dict[str, Any]]:
         "name", "place", "kind", "device", "thread", "start", "duration", "queued", "blocks",
         "threads",
     )  # fmt: skip
-    return [dict(zip(names, event, strict=True)) for event in _context().trace()[0]]
+    events = [dict(zip(names, event, strict=True)) for event in _context().trace()[0]]
+    return [one for one in events if not one["name"].startswith(bandwidth.PREFIX)]
 
 
 def save_trace(path: Any) -> None:

@@ -10,12 +10,13 @@
 // and no branch: the error of a short polynomial is 2^-35, so that the error
 // after rounding to f32 is hardly more than half a unit in the last place
 // (libm: up to 1, and 2 for tanh). Results are the same for scalars and
-// vectors.
+// vectors. Powers with exponents such as 1.5 are products with a square root.
 //
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/IR/Matchers.h"
 #include "tai/Conversion/ToLLVM/FloatOptions.h"
 #include "llvm/ADT/bit.h"
 
@@ -79,6 +80,8 @@ public:
   Value andBits(Value a, int64_t mask) {
     return arith::AndIOp::create(builder, loc, a, bits(mask));
   }
+  Value squareRoot(Value a) { return math::SqrtOp::create(builder, loc, a); }
+  Value absolute(Value a) { return math::AbsFOp::create(builder, loc, a); }
   Value toFloat(Value a) {
     return arith::SIToFPOp::create(builder, loc, wideType, a);
   }
@@ -249,10 +252,115 @@ struct ExpandWide : OpRewritePattern<Op> {
     return success();
   }
 };
+
+/// The exponent of a power as a multiple of one half, if it is a constant and
+/// an odd multiple of small magnitude.
+std::optional<int> getHalves(math::PowFOp op) {
+  llvm::APFloat exponent(0.0);
+  if (!matchPattern(op.getRhs(), m_ConstantFloat(&exponent)))
+    return std::nullopt;
+  double halves = 2 * exponent.convertToDouble();
+  for (int known : {-5, -3, -1, 3, 5})
+    if (halves == known)
+      return known;
+  return std::nullopt;
+}
+
+/// Computes x^(halves / 2) of f32 in f64, in which neither a product nor an
+/// inverse overflows.
+Value expandHalves(F64Builder &inF64, Value narrow, int halves) {
+  Value x = inF64.extend(narrow);
+  Value power = inF64.squareRoot(x);
+  for (int i = 1; i < std::abs(halves); i += 2)
+    power = inF64.mul(power, x);
+  // Powers of -0 are those of 0.
+  power = inF64.absolute(power);
+  Value infinity = inF64.constant(std::numeric_limits<double>::infinity());
+  Value limit = infinity;
+  if (halves < 0) {
+    power = inF64.div(inF64.constant(1), power);
+    limit = inF64.constant(0);
+  }
+  // The root of -infinity is NaN, and its powers are not.
+  Value least = inF64.constant(-std::numeric_limits<double>::infinity());
+  return inF64.truncate(inF64.choose(Predicate::OEQ, x, least, limit, power));
+}
+
+/// Computes x^(halves / 2) of f64, with the errors of the root and of the
+/// products as a second number, so that the sum is hardly more than half a unit
+/// in the last place off, or one unit where that number is too small for f64.
+Value expandHalvesOfF64(OpBuilder &builder, Location loc, Value x, int halves) {
+  Type type = x.getType();
+  auto constant = [&](double value) -> Value {
+    TypedAttr number = builder.getF64FloatAttr(value);
+    if (auto vector = dyn_cast<VectorType>(type))
+      number = DenseElementsAttr::get(vector, Attribute(number));
+    return arith::ConstantOp::create(builder, loc, number);
+  };
+  // These operations must not be contracted.
+  auto fma = [&](Value a, Value b, Value c) -> Value {
+    return math::FmaOp::create(builder, loc, a, b, c);
+  };
+  auto mul = [&](Value a, Value b) -> Value {
+    return arith::MulFOp::create(builder, loc, a, b);
+  };
+  auto negate = [&](Value a) -> Value {
+    return arith::NegFOp::create(builder, loc, a);
+  };
+  Value high = math::SqrtOp::create(builder, loc, x);
+  Value low =
+      arith::DivFOp::create(builder, loc, fma(negate(high), high, x),
+                            arith::AddFOp::create(builder, loc, high, high));
+  for (int i = 1; i < halves; i += 2) {
+    Value product = mul(high, x);
+    low = arith::AddFOp::create(builder, loc, fma(high, x, negate(product)),
+                                mul(low, x));
+    high = product;
+  }
+  // The errors of zero and infinity are infinite or NaN.
+  Value infinity = constant(std::numeric_limits<double>::infinity());
+  auto compare = [&](Predicate predicate, Value a, Value b) -> Value {
+    return arith::CmpFOp::create(builder, loc, predicate, a, b);
+  };
+  Value isRegular = compare(Predicate::OLT,
+                            math::AbsFOp::create(builder, loc, low), infinity);
+  Value sum = arith::AddFOp::create(builder, loc, high, low);
+  Value power = arith::SelectOp::create(builder, loc, isRegular, sum, high);
+  // Powers of -0 are those of 0, and the root of -infinity is NaN.
+  power = math::AbsFOp::create(builder, loc, power);
+  Value least = constant(-std::numeric_limits<double>::infinity());
+  return arith::SelectOp::create(
+      builder, loc, compare(Predicate::OEQ, x, least), infinity, power);
+}
+
+struct ExpandHalfPower : OpRewritePattern<math::PowFOp> {
+  using OpRewritePattern::OpRewritePattern;
+  LogicalResult matchAndRewrite(math::PowFOp op,
+                                PatternRewriter &rewriter) const override {
+    Type type = op.getType(), element = getElementTypeOrSelf(type);
+    auto vector = dyn_cast<VectorType>(type);
+    std::optional<int> halves = getHalves(op);
+    if (!halves || (vector && vector.isScalable()))
+      return failure();
+    Location loc = op.getLoc();
+    if (element.isF32()) {
+      F64Builder inF64(rewriter, loc, type);
+      rewriter.replaceOp(op, expandHalves(inF64, op.getLhs(), *halves));
+      return success();
+    }
+    // An inverse would be zero where the power itself overflows.
+    if (!element.isF64() || *halves < 0)
+      return failure();
+    rewriter.replaceOp(op,
+                       expandHalvesOfF64(rewriter, loc, op.getLhs(), *halves));
+    return success();
+  }
+};
 } // namespace
 
 void tai::populateWideMath(RewritePatternSet &patterns,
                            PatternBenefit benefit) {
+  patterns.add<ExpandHalfPower>(patterns.getContext(), benefit);
   patterns.add<
       ExpandWide<math::ExpOp, expandExp>, ExpandWide<math::Exp2Op, expandExp2>,
       ExpandWide<math::LogOp, expandLogE>, ExpandWide<math::Log2Op, expandLog2>,

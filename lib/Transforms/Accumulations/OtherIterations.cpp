@@ -16,8 +16,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "IterationShadow.h"
 #include "OtherIterations.h"
+#include "IterationShadow.h"
 #include "mlir/Analysis/SliceAnalysis.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"

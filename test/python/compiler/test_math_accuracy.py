@@ -174,3 +174,38 @@ def test_power_of_a_constant_power_of_two():
                       for r, e in zip(rests, exponents, strict=True)])  # fmt: skip
     errors = np.abs(y.to_numpy() - exact) / np.spacing(exact)
     assert errors.max() <= 2
+
+
+@pytest.mark.parametrize("kind", [ti.f32, ti.f64])
+def test_powers_with_halves_as_exponents(kind):
+    """They are within one unit of the last place, and powers of special numbers are C's."""
+    ti.init()
+    exponents = [-2.5, -1.5, -0.5, 1.5, 2.5]
+    dtype = kind.numpy
+    least = np.finfo(dtype).tiny
+    special = [0.0, -0.0, np.inf, -np.inf, np.nan, -1.0, least, 1.0, 4.0, np.finfo(dtype).max]
+    limits = np.log([least, np.finfo(dtype).max])
+    plain = np.exp(np.random.default_rng(0).uniform(*limits, size=2000))
+    values = np.concatenate([special, plain]).astype(dtype)
+    x = ti.field(kind, shape=values.size)
+    y = ti.field(kind, shape=(len(exponents), values.size))
+
+    @ti.kernel
+    def compute():
+        for i in x:
+            for e in ti.static(range(len(exponents))):
+                y[e, i] = x[i] ** exponents[e]
+
+    x.from_numpy(values)
+    compute()
+    for found, exponent in zip(y.to_numpy(), exponents, strict=True):
+        with np.errstate(all="ignore"):
+            exact = np.power(values.astype(np.longdouble), np.longdouble(exponent))
+            expected = exact.astype(dtype)
+            regular = np.isfinite(expected) & (expected >= least)
+            distance = np.abs(found - exact)[regular] / np.spacing(expected[regular])
+        assert distance.max() < (0.51 if kind is ti.f32 else 1)
+        others = ~regular & ~((expected != 0) & np.isfinite(expected))
+        np.testing.assert_array_equal(found[others], expected[others])
+        zeros = found == 0
+        np.testing.assert_array_equal(np.signbit(found[zeros]), np.signbit(expected[zeros]))

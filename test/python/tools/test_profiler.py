@@ -82,7 +82,7 @@ def test_tables(arch, capsys):
     # A GPU fills memory, too, which has no shape.
     kernels = [line.split()[-1] for line in out[1:] if arch == "cpu" or " x " in line]
     assert [name.removesuffix("_0") for name in kernels] == ["scale", "fill"]
-    with pytest.raises(ti.TaiRuntimeError, match="'count' and 'trace'"):
+    with pytest.raises(ti.TaiRuntimeError, match="'count', 'roofline' and 'trace'"):
         ti.profiler.print_kernel_profiler_info("counts")
 
 
@@ -185,3 +185,35 @@ def test_places_are_those_of_the_source_as_it_is_now(tmp_path):
         )  # fmt: skip
         lines.append(int(done.stdout.rsplit(":", 2)[1]))
     assert lines == [6, 7]
+
+
+def test_the_share_of_the_measured_bandwidth(arch, capsys):
+    x, scale, fill = make_program()
+    scale(2.0)
+    fill(1)
+    names = {row.name for row in ti.profiler.get_stats()}
+    assert all(row.roof is None and row.roofline is None for row in ti.profiler.get_stats())
+    found = ti.profiler.measure_bandwidth()
+    assert found > 0
+    rows = ti.profiler.get_stats()
+    # The kernel of the measurement is in no table, and its fields are gone.
+    assert {row.name for row in rows} == names
+    for row in rows:
+        assert row.roofline == pytest.approx(row.gigabytes_per_second / found)
+    capsys.readouterr()
+    ti.profiler.print_kernel_profiler_info("roofline")
+    table = capsys.readouterr().out
+    assert f"measured bandwidth: {found:.1f} GB/s" in table
+    assert "roof" in table and f"{rows[0].roofline:.0%}" in table
+    ti.profiler.print_memory_profiler_info()
+    assert "bandwidth" not in capsys.readouterr().out
+    assert not any("bandwidth" in row["name"] for row in ti.profiler._events())
+
+
+def test_no_bandwidth_is_measured_in_a_tape():
+    ti.init()
+    x = ti.field(ti.f32, shape=(), needs_grad=True)
+    with ti.ad.Tape(x):
+        x[None] += 1.0
+        with pytest.raises(ti.TaiRuntimeError, match="which a tape would record"):
+            ti.profiler.measure_bandwidth()
