@@ -243,19 +243,36 @@ def test_mistakes(monkeypatch):
         TaiRuntimeTypeError, match="shape \\(4, 3\\), but there are 4 outputs and 4"
     ):
         ti.ad.jacobian(run, x, y, pattern=np.ones((4, 3)))
-    with pytest.raises(TaiRuntimeTypeError, match="the inputs are fields, but got 3"):
+    with pytest.raises(TaiRuntimeTypeError, match="the input must be a field, but got 3"):
         ti.ad.jacobian(run, 3, y)
-    with pytest.raises(TaiRuntimeTypeError, match="given twice"):
+    with pytest.raises(TaiRuntimeTypeError, match="the inputs name a field twice"):
         ti.ad.vjp(run, [x, x], y, np.ones(4))
     with pytest.raises(TaiRuntimeTypeError, match="shape \\(3,\\), but the field has \\(4,\\)"):
         ti.ad.vjp(run, x, y, np.ones(3))
     with pytest.raises(TaiRuntimeTypeError, match="1 outputs and 2 arrays"):
         ti.ad.vjp(run, x, [y], [np.ones(4), np.ones(4)])
-    with pytest.raises(TaiAutodiffError, match="of floats, but 'counter' is of type i32"):
+    with pytest.raises(TaiAutodiffError, match="'counter' is of type i32, not a float"):
         counter = ti.field(ti.i32, shape=2, name="counter")
         ti.ad.jacobian(run, counter, y)
     with pytest.raises(TaiRuntimeTypeError, match="a function that launches kernels"):
         ti.ad.jacobian(3, x, y)
+    with pytest.raises(TaiRuntimeTypeError, match="the outputs are an empty list"):
+        ti.ad.jacobian(run, x, [])
+    with pytest.raises(TaiRuntimeTypeError, match="field, but got.*ndarray") as caught:
+        ti.ad.jacobian(run, ti.ndarray(ti.f64, shape=4), y)
+    assert "copy the array to a field" in str(caught.value)
+    for value in (np.ones(4) * 1j, ["1"] * 4, [1.0, None, 1.0, 1.0]):
+        for call in (ti.ad.jvp, lambda run, x, v, y: ti.ad.vjp(run, x, y, v)):
+            with pytest.raises(TaiRuntimeTypeError, match=r"must be numbers of shape \(4,\)"):
+                call(run, x, value, y)
+    for call in (
+        lambda: ti.ad.jvp(None, x, np.ones(4), y),
+        lambda: ti.ad.vjp(None, x, y, np.ones(4)),
+        lambda: ti.ad.hvp(None, y, x, np.ones(4)),
+        lambda: ti.ad.hessian_operator(None, y, x),
+    ):
+        with pytest.raises(TaiRuntimeTypeError, match="launches kernels, but got None"):
+            call()
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "scipy.sparse", None)
         for call in (
@@ -274,3 +291,33 @@ def test_mistakes(monkeypatch):
     with pytest.raises(KeyError, match="inside"):
         ti.ad.jacobian(fails, x, y)
     np.testing.assert_array_equal(x.to_numpy(), before)
+
+
+def test_fields_of_structs_are_named_by_their_members():
+    body = ti.types.struct(x=ti.types.vector(2, ti.f64), m=ti.f64)
+    p = body.field(shape=3, needs_grad=True, needs_dual=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True, needs_dual=True)
+
+    @ti.kernel
+    def run():
+        for i in range(3):
+            loss[None] += p[i].m * p[i].x.norm_sqr()
+
+    x, m = np.arange(6.0).reshape(3, 2), np.arange(1.0, 4.0)
+    p.x.from_numpy(x)
+    p.m.from_numpy(m)
+    for call in (
+        lambda: ti.ad.jacobian(run, p, loss),
+        lambda: ti.ad.jacobian(run, p.x, p),
+        lambda: ti.ad.jvp(run, p, x, loss),
+        lambda: ti.ad.vjp(run, p, loss, 1.0),
+        lambda: ti.ad.hvp(run, loss, p, x),
+        lambda: ti.ad.hessian(run, loss, [p.x, p]),
+        lambda: ti.ad.Tape(p),
+    ):
+        with pytest.raises(TaiRuntimeTypeError, match="'p' is a field of structs") as caught:
+            call()
+        assert "[p.x, p.m]" in str(caught.value)
+    by_x, by_m = ti.ad.jacobian(run, [p.x, p.m], loss)
+    np.testing.assert_allclose(by_x, 2 * m[:, None] * x, atol=1e-14)
+    np.testing.assert_allclose(by_m, (x**2).sum(1), atol=1e-14)

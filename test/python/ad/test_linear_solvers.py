@@ -238,6 +238,33 @@ def test_scales(method, scale):
 
 
 @pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("preconditioned", [False, True])
+@pytest.mark.parametrize("method", ITERATIVE)
+@pytest.mark.parametrize("scale", [1e-300, 1e-200, 1e200, 1e300])
+def test_operators_whose_squares_overflow_or_vanish(method, scale, preconditioned):
+    """Both systems are solved, although ‖A p‖² is not representable."""
+    problem = Problem(scale * tridiagonal(20, 2.5))
+    problem.B = problem.B / scale
+    problem.b.from_numpy(problem.B)
+    problem.W = problem.W * scale
+    problem.w.from_numpy(problem.W)
+    options = {}
+    if preconditioned:
+        diagonal = ti.field(ti.f64, shape=20)
+        diagonal.fill(2.5 * scale)
+        options["preconditioner"] = ti.linalg.Jacobi(diagonal)
+    info = problem.differentiate(method, **options)
+    assert info and info.adjoint
+    plain = scale * problem.x.to_numpy()
+    exact = np.linalg.solve(tridiagonal(20, 2.5), problem.B)
+    np.testing.assert_allclose(plain, exact, rtol=1e-7)
+    weights = np.linalg.solve(tridiagonal(20, 2.5), problem.W / scale)
+    np.testing.assert_allclose(problem.b.grad.to_numpy(), weights, rtol=1e-7)
+    assert 0.5 * scale < info.norm < 4.6 * scale
+    assert info.backward_error < 1e-9
+
+
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("method", [*ITERATIVE, "solve"])
 def test_forward_mode(method):
     """Tangents are those that the gradient predicts."""

@@ -32,6 +32,19 @@ from .mode import (
 from .tape import Tape
 
 
+def as_function(function: Any, or_tape: bool = False) -> Any:
+    """Returns a function that launches kernels.
+
+    Raises:
+        TaiRuntimeTypeError: it is none.
+    """
+    if not callable(function) and not (or_tape and isinstance(function, Tape)):
+        raise TaiRuntimeTypeError(
+            f"the first argument is a function that launches kernels, but got {function!r}"
+        )
+    return function
+
+
 def run_forward(
     function: Callable[[], Any] | Any,
     tangents: Sequence[tuple[Any, Any]],
@@ -55,6 +68,7 @@ def run_forward(
         TaiAutodiffError: a field has no dual, or something has no tangent rule.
         TaiRuntimeTypeError: a tangent has the wrong shape.
     """
+    as_function(function, or_tape=True)
     pairs = prepare(tangents, "the field of a tangent")
     for field in outputs:
         check_dual(field, "output")
@@ -79,6 +93,7 @@ def hessian_product(
     function: Callable[[], Any] | Any, loss: Any, pairs: Sequence[tuple[Any, Any]]
 ) -> list[np.ndarray]:
     """Returns the derivative of the gradient along the tangents of `pairs`: see `hvp`."""
+    as_function(function, or_tape=True)
 
     def run() -> None:
         if isinstance(function, Tape):

@@ -17,9 +17,9 @@ from ..base.program import get_program
 from ..base.scipy import get_scipy
 from ..fields.field import Field
 from ..fields.root import materialize
-from .forward import hessian_product, run_forward
+from .forward import as_function, hessian_product, run_forward
 from .mode import caller_names
-from .seeds import require_grad
+from .seeds import as_float_field, require_grad
 from .snapshot import Snapshot
 from .tape import Tape
 
@@ -29,14 +29,11 @@ Function = Callable[[], Any]
 def _as_fields(value: Any, what: str) -> list[Field]:
     fields = list(value) if isinstance(value, (list, tuple)) else [value]
     for field in fields:
-        if not isinstance(field, Field):
-            raise TaiRuntimeTypeError(f"{what} are fields, but got {field!r}")
-        if not field.dtype.is_float:
-            raise TaiAutodiffError(
-                f"{what} are of floats, but '{field.name}' is of type {field.dtype}"
-            )
-    if not fields or len({id(field) for field in fields}) < len(fields):
-        raise TaiRuntimeTypeError(f"{what} are given twice, or none is given")
+        as_float_field(field, what[:-1])
+    if not fields:
+        raise TaiRuntimeTypeError(f"{what} are an empty list", "name at least one field")
+    if len({id(field) for field in fields}) < len(fields):
+        raise TaiRuntimeTypeError(f"{what} name a field twice")
     return fields
 
 
@@ -68,11 +65,7 @@ class _Products:
     """
 
     def __init__(self, function: Function, inputs: Any, outputs: Any):
-        if not callable(function):
-            raise TaiRuntimeTypeError(
-                f"the first argument is a function that launches kernels, but got {function!r}"
-            )
-        self.function = function
+        self.function = as_function(function)
         self.columns = _Numbers(_as_fields(inputs, "the inputs"))
         self.rows = _Numbers(_as_fields(outputs, "the outputs"))
         self.bits = min(self.rows.bits, self.columns.bits)
@@ -139,6 +132,7 @@ def vjp(function: Function, inputs: Any, outputs: Any, weights: Any) -> Any:
         TaiAutodiffError: a field has no gradient, or something has no derivative.
         TaiRuntimeTypeError: weights of the wrong shape, or something that is no field.
     """
+    as_function(function)
     columns = _as_fields(inputs, "the inputs")
     rows = _as_fields(outputs, "the outputs")
     is_list = isinstance(outputs, (list, tuple))
@@ -346,7 +340,7 @@ class _HessianProducts:
     """
 
     def __init__(self, function: Function, loss: Any, inputs: Any):
-        self.function, self.loss = function, loss
+        self.function, self.loss = as_function(function, or_tape=True), loss
         self.numbers = _Numbers(_as_fields(inputs, "the inputs"))
         materialize(get_program(), caller_names())
 

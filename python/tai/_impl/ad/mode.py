@@ -19,27 +19,20 @@ from ..base import native, state
 from ..base.callers import calling_frame, calling_level
 from ..base.locks import Lock, snapshot
 from ..base.program import get_program
-from ..fields.field import Field
 from ..fields.root import materialize
 from ..history import origins
 from . import library as library
-from .seeds import parts_of
+from .seeds import as_float_field, as_numbers, parts_of
 
 
 def check_dual(field: Any, what: str) -> Any:
     """Returns the field if memory holds its dual (its tangents); raises an error otherwise.
 
     Raises:
-        TaiRuntimeTypeError: it is not a field.
+        TaiRuntimeTypeError: it is not a field, or one of structs.
         TaiAutodiffError: it is not of a float type, or has no dual.
     """
-    if not isinstance(field, Field):
-        raise TaiRuntimeTypeError(
-            f"{what} must be a field, but got {'nothing' if field is None else repr(field)}"
-        )
-    if not field.dtype.is_float:
-        raise TaiAutodiffError(f"{what} '{field.name}' is of type {field.dtype}, not a float")
-    dual = field.dual
+    dual = as_float_field(field, what).dual
     if dual is None or dual.snode is None:
         raise TaiAutodiffError(
             f"{what} '{field.name}' has no dual",
@@ -55,12 +48,7 @@ def check_tangent(field: Any, tangent: Any) -> np.ndarray:
         TaiRuntimeTypeError: it is not made of numbers, or has another shape.
     """
     wanted = field.shape + field.element_shape
-    try:
-        array = np.asarray(tangent, field.dtype.numpy)
-    except (TypeError, ValueError):
-        raise TaiRuntimeTypeError(
-            f"the tangent of field '{field.name}' must be made of numbers, but got {tangent!r}"
-        ) from None
+    array = as_numbers(field, "the tangent of field", tangent, field.dtype.numpy, wanted)
     # As in Taichi, a flat list of all components in order is accepted, too.
     if array.shape != wanted and array.shape != (int(np.prod(wanted, dtype=int)),):
         raise TaiRuntimeTypeError(

@@ -16,6 +16,45 @@ from ..fields.structs import StructField, leaves_of
 _DECLARE = "loss = ti.field(ti.f32, shape=(), needs_grad=True)"
 
 
+def as_float_field(field: Any, what: str) -> Any:
+    """Returns a field of floats that one differentiates by, or whose derivatives are wanted.
+
+    Raises:
+        TaiRuntimeTypeError: it is not a field, or one of structs.
+        TaiAutodiffError: it is of integers.
+    """
+    if not isinstance(field, Field):
+        hint = "copy the array to a field" if hasattr(field, "__array__") else None
+        got = "nothing" if field is None else repr(field)
+        raise TaiRuntimeTypeError(f"{what} must be a field, but got {got}", hint)
+    if isinstance(field, StructField):
+        members = ", ".join(f"{field.name}.{name}" for name in field.members)
+        raise TaiRuntimeTypeError(
+            f"{what} '{field.name}' is a field of structs", f"name its members: [{members}]"
+        )
+    if not field.dtype.is_float:
+        raise TaiAutodiffError(f"{what} '{field.name}' is of type {field.dtype}, not a float")
+    return field
+
+
+def as_numbers(field: Any, what: str, values: Any, dtype: Any, shape: tuple[int, ...]) -> Any:
+    """Returns values of a field's elements, such as a tangent or a seed, as an array.
+
+    Raises:
+        TaiRuntimeTypeError: they are no real numbers, or rows of several lengths.
+    """
+    try:
+        array = np.asarray(values)
+        # NumPy makes numbers of these without a word: the real part, NaN, what the text says.
+        if array.dtype.kind in "cSU" or (array.dtype.kind == "O" and None in array.ravel()):
+            raise TypeError
+        return np.asarray(array, dtype)
+    except (TypeError, ValueError):
+        raise TaiRuntimeTypeError(
+            f"{what} '{field.name}' must be numbers of shape {shape}, but got {values!r}"
+        ) from None
+
+
 def as_losses(loss: Any) -> list[Any]:
     """Returns the fields of the losses, from the argument of `ti.ad.Tape`.
 
@@ -31,8 +70,7 @@ def as_losses(loss: Any) -> list[Any]:
             raise TaiRuntimeTypeError(
                 f"ti.ad.Tape takes the field of the loss, but got {field!r}", _DECLARE
             )
-        if not field.dtype.is_float:
-            raise TaiAutodiffError(f"the loss '{field.name}' is of type {field.dtype}, not a float")
+        as_float_field(field, "the loss")
     if len({id(field) for field in losses}) < len(losses):
         raise TaiRuntimeTypeError("a loss is given twice")
     return losses
@@ -108,12 +146,7 @@ def as_seed(field: Any, seed: Any) -> np.ndarray:
     if hasattr(seed, "to_numpy"):
         seed = seed.to_numpy()
     wanted = tuple(field.shape) + tuple(field.element_shape)
-    try:
-        array = np.asarray(seed, field.grad.dtype.numpy)
-    except (TypeError, ValueError):
-        raise TaiRuntimeTypeError(
-            f"the seed of '{field.name}' must be numbers of shape {wanted}, but got {seed!r}"
-        ) from None
+    array = as_numbers(field, "the seed of", seed, field.grad.dtype.numpy, wanted)
     if array.size == 1 and math.prod(wanted) == 1:
         array = array.reshape(wanted)
     if array.shape != wanted:

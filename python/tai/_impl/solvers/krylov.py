@@ -209,4 +209,4 @@ def stationary(sweep: Callable[[System], None]) -> Method:
             system.keep(residual)
         return Progress(limit, residual, "")
 
-    return Method(run)
+    return Method(run, stationary=True)

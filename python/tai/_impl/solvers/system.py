@@ -1,7 +1,8 @@
 """A linear system A x = b, where A is a function from a field to a field, and how its solve ends.
 
 Methods solve for x / scale, where `scale` is a power of two near the largest element of b, so that
-squares neither overflow nor vanish.
+squares neither overflow nor vanish. If they fail for an operator whose norm is extreme, they try
+again with the operator divided by a power of two near its norm.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ MAY_BE_SINGULAR = {"indefinite", "diverges", "stagnates", "iterations", "breakdo
 _MAY_BE_ASYMMETRIC = {*MAY_BE_SINGULAR, "preconditioner"}
 # For each type, the least asymmetry of an operator that rounding does not explain.
 _ASYMMETRY = {"f32": 1e-3, "f64": 1e-8}
+# The least binary exponent of the norm of an operator, or of its inverse, with which squares of
+# products may overflow or vanish.
+_EXTREME = {"f32": 40, "f64": 200}
 # The solution is saved each time its residual has fallen by this factor.
 _KEEP_EACH = 0.1
 
@@ -51,11 +55,18 @@ class Method(NamedTuple):
         run: starts from `system.x` and `system.r`, the residual there.
         symmetric: it needs a symmetric operator.
         monotone: the residual never grows.
+        stationary: its steps do not depend on products alone.
     """
 
     run: Callable[[System, float, int], Progress]
     symmetric: bool = False
     monotone: bool = False
+    stationary: bool = False
+
+
+def _power(exponent: int) -> float:
+    """2 to the exponent, or the nearest power that f64 can hold."""
+    return math.ldexp(1.0, min(max(exponent, -1074), 1023))
 
 
 def norm_of(field: Any) -> float:
@@ -88,9 +99,11 @@ class System:
         self, apply: Callable[[Any, Any], None], b: Any, x: Any, tolerance: float, limit: int,
         precondition: Callable[[Any, Any], None] | None = None,
     ):  # fmt: skip
-        self.apply, self.b, self.x = apply, b, x
+        self._apply, self.b, self.x = apply, b, x
         self.tolerance, self.limit = tolerance, limit
-        self.precondition = precondition
+        self._precondition = precondition
+        # The exponent of the power of two by which the operator is divided.
+        self._exponent = 0
         self.kernels = get_kernels()
         self.r, self.p, self.q = (scratch(x, role) for role in ("residual", "direction", "product"))
         # A bound from below of the norm of A: the greatest of ‖A v‖ / ‖v‖ that is known.
@@ -98,6 +111,25 @@ class System:
         # The number of times that a method has begun again.
         self.restarts = 0
         self._kept = math.inf
+
+    def apply(self, p: Any, q: Any) -> None:
+        """q = A p, where A is divided by its power of two."""
+        self._apply(p, q)
+        if self._exponent:
+            self.kernels.scale(q, q, _power(-self._exponent))
+
+    @property
+    def precondition(self) -> Callable[[Any, Any], None] | None:
+        """About the inverse of what `apply` does, or None."""
+        plain = self._precondition
+        if plain is None or not self._exponent:
+            return plain
+
+        def scaled(r: Any, z: Any) -> None:
+            plain(r, z)
+            self.kernels.scale(z, z, _power(self._exponent))
+
+        return scaled
 
     def solve(self, method: Method) -> Progress:
         """Runs a method until the residual itself, computed anew, is small enough.
@@ -121,6 +153,12 @@ class System:
         if not math.isfinite(self.norm):
             return Progress(0, math.nan, "not finite")
         done, residual, reason = self._run(method)
+        # A norm of zero is one whose square has vanished; with a preconditioner none is noted.
+        has_vanished = done > 0 and self.operator_norm == 0 and self._precondition is None
+        if (reason or has_vanished) and not method.stationary and self._divide_operator():
+            self.x.fill(0)
+            steps, residual, reason = self._run(method)
+            done += steps
         if reason and reason != "not finite":
             if not residual <= 1.0 or self._is_noise(residual):
                 self.x.fill(0)
@@ -130,9 +168,28 @@ class System:
                 # The method's recurrences give the operator's norm only for symmetric operators.
                 self.operator_norm = 0.0
         error = self._compute_backward_error(residual)
-        k.scale(self.x, self.x, 1 / inverse)
+        # The two factors together may be representable where one is not.
+        k.scale(self.x, self.x, _power(-self._exponent - math.frexp(inverse)[1] + 1))
         misfit = residual * self.norm / inverse
-        return Progress(done, residual, reason, error, self.operator_norm, misfit)
+        norm = self.operator_norm * _power(self._exponent)
+        return Progress(done, residual, reason, error, norm, misfit)
+
+    def _divide_operator(self) -> bool:
+        """Divides the operator by a power of two near its norm, if that is extreme.
+
+        Returns whether it did.
+        """
+        noise, image = scratch(self.x, "kept"), scratch(self.x, "last")
+        self.kernels.make_noise(noise)
+        self._apply(noise, image)
+        largest = self.kernels.largest(image)
+        if largest == 0 or not math.isfinite(largest):
+            return False
+        exponent = math.frexp(largest)[1]
+        if abs(exponent) < _EXTREME[self.x.dtype.name]:
+            return False
+        self._exponent, self.operator_norm, self.restarts = exponent, 0.0, 0
+        return True
 
     def _run(self, method: Method) -> tuple[int, float, str]:
         done, last, reason = 0, math.inf, ""
@@ -216,10 +273,9 @@ class System:
 
         `q` holds A x.
         """
-        size = self.kernels.dot(self.x, self.x)
+        size = norm_of(self.x)
         if 0 < size < math.inf:
-            size = math.sqrt(size)
-            self.note_norm(math.sqrt(self.kernels.dot(self.q, self.q)) / size)
+            self.note_norm(norm_of(self.q) / size)
             return residual * self.norm / (self.operator_norm * size + self.norm)
         return residual
 
