@@ -9,6 +9,7 @@ from typing import Any
 
 from ...errors import TaiRuntimeError, shorten, source_line, spelled
 from .program import get_program
+from .rewrites import Rewrite, propose
 
 
 @dataclass
@@ -27,6 +28,7 @@ class ShadowRow:
         error: relative error of the result that lost most digits, 1 at the most.
         error_in: that of its operands; of a comparison, the greatest.
         digits_lost: decimal digits that the operands had and the result has not.
+        rewrite: another form of the expression that has been found to lose fewer, or None.
     """
 
     filename: str | None
@@ -41,6 +43,7 @@ class ShadowRow:
     error: float
     error_in: float
     digits_lost: float
+    rewrite: Rewrite | None = None
 
     def summary(self) -> str:
         """The events, in words."""
@@ -54,6 +57,8 @@ class ShadowRow:
             parts.append(f"{self.flips} come out otherwise")
         if self.non_finite:
             parts.append(f"{self.non_finite} not finite")
+        if self.rewrite is not None:
+            parts.append(f"write {self.rewrite.after}")
         return f"{self.operation}: {'; '.join(parts)}"
 
 
@@ -77,6 +82,9 @@ class ShadowReport(list):
                 f"{digits:>6} {error:>8} {source:>8} {row.lost:>9} {row.cancellations:>9} "
                 f"{row.flips:>9} {row.non_finite:>8}  {place} {row.operation} in {row.kernel}"
             )
+        for row in self:
+            if row.rewrite is not None:
+                lines.append(f"{shorten(row.filename)}:{row.lineno} rewrite: {row.rewrite}")
         return "\n".join(lines)
 
     def on_source(self) -> str:
@@ -123,12 +131,17 @@ def shadow_report() -> ShadowReport:
     See docs/guides/shadow.md.
     """
     report = ShadowReport()
-    for operation, kernel, place, _, *counts, error, error_in, bits in context().shadow_rows():
+    for row in context().shadow_rows():
+        operation, kernel, place, precision, *counts, error, error_in, bits = row
         lost, cancellations, flips, non_finite = counts
         digits = bits * math.log10(2)
+        where = _place(place)
+        rewrite = None
+        if lost or non_finite:
+            rewrite = propose(*where, precision, error, overflows=not lost)
         report.append(
-            ShadowRow(*_place(place), spelled(kernel), operation, lost, cancellations, flips,
-                      non_finite, error, error_in, digits)
+            ShadowRow(*where, spelled(kernel), operation, lost, cancellations, flips,
+                      non_finite, error, error_in, digits, rewrite)
         )  # fmt: skip
     return report
 
