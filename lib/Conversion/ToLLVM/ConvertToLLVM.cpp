@@ -5,6 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "DetachExits.h"
+
 #include "mlir/Conversion/ArithToLLVM/ArithToLLVM.h"
 #include "mlir/Conversion/ControlFlowToLLVM/ControlFlowToLLVM.h"
 #include "mlir/Conversion/ConvertToLLVM/ToLLVMPass.h"
@@ -373,6 +375,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     for (Operation *op : lowered) {
       if (failed(verifyPassedModes(op)))
         return signalPassFailure();
+      detachExits(op);
       std::optional<MathMode> own = Modes::of(op).math;
       // Calls may be vectorised in this case, because vector versions of
       // functions yield the same bits in the remainder of a vectorised loop as
