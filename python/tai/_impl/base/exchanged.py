@@ -14,7 +14,7 @@ import numpy as np
 _TYPES = {1: "u1", 8: "i1", 16: "i2", 32: "i4", 64: "i8"}
 _TYPES |= {-16: "f2", -17: "i2", -32: "f4", -64: "f8"}
 
-# The bytes in front of the rows of a message: a hash of its plan, and padding.
+# The bytes in front of the rows of a message: its head, and padding.
 HEAD = 16
 
 
@@ -32,24 +32,31 @@ class HostMemory:
         """The same array with the rows as its first dimension."""
         return np.moveaxis(view, dimension, 0)
 
-    def message(self, head: int, rows: Any) -> Any:
-        """The bytes of a message."""
-        start = np.zeros(HEAD, np.uint8)
-        start[:8] = np.array([head], np.int64).view(np.uint8)
-        return np.concatenate([start, np.ascontiguousarray(rows).reshape(-1).view(np.uint8)])
+    def carry(
+        self, transport: Any, head: int, out: Sequence, into: Sequence, adds: bool
+    ) -> int | None:
+        """Sends rows to ranks, and stores or adds those of ranks.
 
-    def room(self, rows: Any) -> Any:
-        """Memory for a message with as many rows."""
-        return np.empty(HEAD + rows.size * rows.itemsize, np.uint8)
+        Args:
+            head: what each message begins with.
+            out, into: pairs of a rank and rows.
 
-    def read(self, message: Any, rows: Any) -> tuple[int, Any]:
-        """The hash of a message, and its rows."""
-        head = int(message[:8].view(np.int64)[0])
-        return head, message[HEAD:].view(rows.dtype).reshape(rows.shape)
-
-    def swap(self, transport: Any, sends: Sequence, receives: Sequence) -> None:
-        """Sends and receives messages."""
+        Returns:
+            A rank whose message begins with something else, or None.
+        """
+        start = np.array([head, 0], np.int64).view(np.uint8)
+        sends = [(peer, np.concatenate([start, _bytes(rows)])) for peer, rows in out]
+        receives = [(peer, np.empty(HEAD + rows.nbytes, np.uint8)) for peer, rows in into]
         transport.swap(sends, receives)
+        for (peer, rows), (_, got) in zip(into, receives, strict=True):
+            if int(got[:8].view(np.int64)[0]) != head:
+                return peer
+            values = got[HEAD:].view(rows.dtype).reshape(rows.shape)
+            if adds:
+                rows += values
+            else:
+                rows[...] = values
+        return None
 
     def reduce(self, transport: Any, view: Any, kind: str) -> None:
         """Replaces the numbers by those that all ranks combine."""
@@ -63,6 +70,10 @@ class HostMemory:
 
     def finish(self) -> None:
         """Waits until the memory has the results."""
+
+
+def _bytes(rows: Any) -> Any:
+    return np.ascontiguousarray(rows).reshape(-1).view(np.uint8)
 
 
 def is_emulated() -> bool:

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -28,6 +30,48 @@ class _Memory:
         }  # fmt: skip
 
 
+@lru_cache(maxsize=1024)
+def _view(address: int, code: str, extents: tuple, strides: tuple) -> torch.Tensor:
+    return torch.as_tensor(_Memory(address, code, extents, strides), device="cuda")
+
+
+class _Message:
+    """Memory of messages of one exchange with a rank, which are alike.
+
+    Attributes:
+        bytes: all of a message.
+        rows: of the message.
+        head: of the message, one number.
+        got: memory of the host for the head of a message that has come.
+        job: sends or receives the message by NCCL.
+    """
+
+    def __init__(self, head: int, peer: int, is_sent: bool, rows: torch.Tensor, has_nccl: bool):
+        size = HEAD + rows.numel() * rows.element_size()
+        self.bytes = torch.zeros(size, dtype=torch.uint8, device="cuda")
+        self.rows = self.bytes[HEAD:].view(rows.dtype).view(rows.shape)
+        self.head = self.bytes[:8].view(torch.int64)
+        self.head.fill_(head)
+        self.got = torch.zeros(1, dtype=torch.int64, pin_memory=True)
+        begin = dist.isend if is_sent else dist.irecv
+        self.job = dist.P2POp(begin, self.bytes, peer) if has_nccl else None
+
+
+# The messages of each transport, by their exchange.
+_messages: WeakKeyDictionary[Any, dict[tuple, _Message]] = WeakKeyDictionary()
+
+
+def _message(
+    known: dict[tuple, _Message], transport: Any, head: int, peer: int, is_sent: bool,
+    rows: torch.Tensor,
+) -> _Message:  # fmt: skip
+    key = (head, peer, is_sent, rows.dtype, rows.shape)
+    found = known.get(key)
+    if found is None:
+        found = known[key] = _Message(head, peer, is_sent, rows, _has_nccl(transport))
+    return found
+
+
 class DeviceMemory:
     """Arrays of the GPU of this process, as tensors; the methods are those of `HostMemory`."""
 
@@ -35,41 +79,39 @@ class DeviceMemory:
         self._types = types
 
     def view(self, address: int, element: int, extents: tuple, strides: tuple) -> torch.Tensor:
-        memory = _Memory(address, self._types[element], extents, strides)
-        return torch.as_tensor(memory, device="cuda")
+        return _view(address, self._types[element], extents, strides)
 
     def rows_first(self, view: torch.Tensor, dimension: int) -> torch.Tensor:
         return view.movedim(dimension, 0)
 
-    def message(self, head: int, rows: torch.Tensor) -> torch.Tensor:
-        made = self.room(rows)
-        made[:8].view(torch.int64).fill_(head)
-        self._rows(made, rows).copy_(rows)
-        return made
+    def carry(
+        self, transport: Any, head: int, out: Sequence, into: Sequence, adds: bool
+    ) -> int | None:
+        known = _messages.setdefault(transport, {})
+        sends = [(peer, _message(known, transport, head, peer, True, rows), rows)
+                 for peer, rows in out]  # fmt: skip
+        receives = [(peer, _message(known, transport, head, peer, False, rows), rows)
+                    for peer, rows in into]  # fmt: skip
+        for _, message, rows in sends:
+            message.rows.copy_(rows)
+        self._swap(transport, sends, receives)
+        for _, message, rows in receives:
+            # The rows are lost if the head is wrong, but so is the program.
+            message.got.copy_(message.head, non_blocking=True)
+            rows.add_(message.rows) if adds else rows.copy_(message.rows)
+        _wait(transport)
+        return next((peer for peer, message, _ in receives if int(message.got) != head), None)
 
-    def room(self, rows: torch.Tensor) -> torch.Tensor:
-        size = HEAD + rows.numel() * rows.element_size()
-        return torch.empty(size, dtype=torch.uint8, device="cuda")
-
-    def _rows(self, message: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
-        return message[HEAD:].view(rows.dtype).view(rows.shape)
-
-    def read(self, message: torch.Tensor, rows: torch.Tensor) -> tuple[int, torch.Tensor]:
-        return int(message[:8].view(torch.int64).item()), self._rows(message, rows)
-
-    def swap(self, transport: Any, sends: Sequence, receives: Sequence) -> None:
+    def _swap(self, transport: Any, sends: Sequence, receives: Sequence) -> None:
         if not _has_nccl(transport):
-            host = [(peer, np.empty(each.numel(), np.uint8)) for peer, each in receives]
-            transport.swap([(peer, each.cpu().numpy()) for peer, each in sends], host)
-            for (_, room), (_, got) in zip(receives, host, strict=True):
-                room.copy_(torch.from_numpy(got))
+            host = [(peer, np.empty(each.bytes.numel(), np.uint8)) for peer, each, _ in receives]
+            transport.swap([(peer, each.bytes.cpu().numpy()) for peer, each, _ in sends], host)
+            for (_, message, _), (_, got) in zip(receives, host, strict=True):
+                message.bytes.copy_(torch.from_numpy(got))
             return
-        jobs = [dist.P2POp(dist.isend, each, peer) for peer, each in sends]
-        jobs += [dist.P2POp(dist.irecv, each, peer) for peer, each in receives]
-        if jobs:
-            for work in dist.batch_isend_irecv(jobs):
-                work.wait()
-            _wait(transport)
+        jobs = [message.job for _, message, _ in (*sends, *receives)]
+        for work in dist.batch_isend_irecv(jobs) if jobs else ():
+            work.wait()
 
     def reduce(self, transport: Any, view: torch.Tensor, kind: str) -> None:
         total = view.contiguous()

@@ -261,20 +261,11 @@ class Mesh:
             return
         out, into = (owned, halos) if kind == "fetch" else (halos, owned)
         # A message begins with a hash of its plan: the peer may be in another exchange.
-        head = _hash(plan)
-        sends = [(peer, memory.message(head, rows)) for peer, rows in out]
-        received = [(peer, memory.room(rows)) for peer, rows in into]
-        memory.swap(self._transport, sends, received)
-        for (peer, rows), (_, got) in zip(into, received, strict=True):
-            found, values = memory.read(got, rows)
-            if found != head:
-                error = RuntimeError("it sends the rows of another exchange")
-                error.rank = peer  # type: ignore[attr-defined]
-                raise error
-            if kind == "fetch":
-                rows[...] = values
-            else:
-                rows += values
+        wrong = memory.carry(self._transport, _hash(plan), out, into, adds=kind != "fetch")
+        if wrong is not None:
+            error = RuntimeError("it sends the rows of another exchange")
+            error.rank = wrong  # type: ignore[attr-defined]
+            raise error
 
     # Accesses of the host
 
