@@ -212,7 +212,7 @@ def mpm(together: bool, n: int, count: int) -> Callable[[], tuple[float, float]]
     start(together)
     m = max(64, count // (8 * n))
     ranks = WORLD if together else 1
-    particles = ti.Particles(count // ranks + 4096, max(4096, count // 64))
+    particles = ti.Particles(count // ranks + count // 256 + 4096, max(4096, count // 64))
     x, v = (ti.Vector.field(2, ti.f32, needs_grad=True) for _ in range(2))
     C, J = ti.Matrix.field(2, 2, ti.f32, needs_grad=True), ti.field(ti.f32, needs_grad=True)
     particles.place(x, v, C, J)

@@ -45,7 +45,8 @@ typedef struct TaiExchange {
 typedef const char *(*TaiExchangeHandler)(const TaiExchange *exchange);
 
 /// Makes the process rank `rank` of a mesh of `ranks` processes. A null handler
-/// takes it out of the mesh. Call while no kernel runs.
+/// takes it out of the mesh. Call while no kernel runs, and before kernels on
+/// sharded fields are compiled: their code is of one rank.
 TAI_EXPORT void taiSetMesh(int64_t rank, int64_t ranks,
                            TaiExchangeHandler handler);
 

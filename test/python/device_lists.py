@@ -11,6 +11,7 @@ NAMES = "looks at names alone"
 SOURCES = "looks at the sources"
 CPU = "is of the CPU"
 CHOOSES = "chooses the target itself"
+RANKS = "its ranks run on the CPU; benchmarks/gpu/mesh_gpus.py has those of GPUs"
 
 # Nothing in them depends on the target, or they choose it themselves: one run does.
 ONE_RUN_DOES = {
@@ -71,7 +72,10 @@ ONE_RUN_DOES = {
     "test_other_iterations": {"test_one_thread_has_an_order": CPU},
     "test_perf_map": {ALL: CPU},
     "test_random_kernels": {"test_a_few_dozen": "the targets of a GPU are a step of make test-gpu"},
-    "test_ranks": {ALL: "a mesh runs on the CPU"},
+    "test_particles": {ALL: RANKS},
+    "test_rank_ensembles": {ALL: RANKS},
+    "test_ranks": {ALL: RANKS},
+    "test_refused_ranks": {ALL: RANKS},
     "test_reliability": {ALL: "the bars that a device can run are a step of make test-gpu"},
     "test_rooms": {ALL: SOURCES},
     "test_running_launches": {

@@ -17,9 +17,11 @@
 #include "tai/CodeGen/VerifyEach.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Check/IR/Check.h"
+#include "tai/Dialect/Mesh/IR/Mesh.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/Compile/Background.h"
 #include "tai/ExecutionEngine/Reproduce/StripAttributes.h"
+#include "tai/Runtime/Launch/Mesh.h"
 #include "tai/Support/XXHash.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/BLAKE3.h"
@@ -255,6 +257,13 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
   return success();
 }
 
+/// The number of this process, if kernels of the module run on several ranks.
+static std::optional<int64_t> getRank(ModuleOp module) {
+  return llvm::any_of(module.getOps<TreeOp>(), hasShards)
+             ? runtime::getRankOfProcess()
+             : std::nullopt;
+}
+
 LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
                               Prepared &prepared,
                               std::vector<std::string> &trees, Failure &failure,
@@ -268,6 +277,9 @@ LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
                            "this build cannot compile kernels for a GPU");
     return mlir::failure();
   }
+  ModuleOp module = *prepared.module;
+  if (std::optional<int64_t> rank = getRank(module))
+    module->setAttr(kRankAttrName, Builder(module).getI64IntegerAttr(*rank));
   worker.scf = scf;
   LogicalResult lowered = runPipeline(
       worker.lowering, worker.finding, *prepared.module,
@@ -374,6 +386,8 @@ std::string Compiler::getKey(CompileRequest request,
          << getLibdeviceKey(options) << request.name << ' '
          << static_cast<int>(request.goal)
          << (request.forward ? " forward" : "") << '\n';
+  if (std::optional<int64_t> rank = getRank(request.module))
+    stream << "rank " << *rank << '\n';
   OpPrintingFlags flags;
   // Assertions and checks put their source locations into the code; so do
   // adjoints on a device, which report if there is no memory for their records.

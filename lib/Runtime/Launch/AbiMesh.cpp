@@ -26,6 +26,12 @@ static std::atomic<int64_t> leftOut{0};
 
 void mlir::tai::runtime::setMesh(Mesh mesh) { ofProcess = std::move(mesh); }
 
+std::optional<int64_t> mlir::tai::runtime::getRankOfProcess() {
+  if (ofProcess.ranks == 0)
+    return std::nullopt;
+  return ofProcess.rank;
+}
+
 int64_t mlir::tai::runtime::numExchangesLeftOut() { return leftOut.load(); }
 
 /// By ExchangeKind of the dialect.

@@ -11,6 +11,7 @@
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Remarks.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
+#include "mlir/Transforms/GreedyPatternRewriteDriver.h"
 #include "tai/ABI/Abi.h"
 #include "tai/Support/Places.h"
 #include "tai/Transforms/Shards/Passes.h"
@@ -210,6 +211,23 @@ static void setDigests(KernelOp kernel) {
     op.setDigestAttr(builder.getI64IntegerAttr(digest));
 }
 
+/// Replaces the number of the process, if the module says it. The bounds of
+/// loops are then constants, as those of a program of one process are. The ops
+/// stay, and check the mesh of the process.
+static LogicalResult fixRank(ModuleOp module) {
+  auto rank = module->getAttrOfType<IntegerAttr>(kRankAttrName);
+  if (!rank)
+    return success();
+  module->removeAttr(kRankAttrName);
+  module->walk([&](RankOp op) {
+    OpBuilder builder(op);
+    Value constant =
+        arith::ConstantIndexOp::create(builder, op.getLoc(), rank.getInt());
+    op.replaceAllUsesWith(constant);
+  });
+  return applyPatternsGreedily(module, FrozenRewritePatternSet());
+}
+
 namespace {
 struct Shard : tai::impl::ShardBase<Shard> {
   using Base::Base;
@@ -245,7 +263,10 @@ struct Shard : tai::impl::ShardBase<Shard> {
     for (ParallelForOp loop : loops)
       if (failed(shardLoop(loop)))
         return signalPassFailure();
+    // Digests are equal on all ranks, so the rank is not known until they are.
     getOperation()->walk([](KernelOp kernel) { setDigests(kernel); });
+    if (failed(fixRank(getOperation())))
+      signalPassFailure();
   }
 };
 } // namespace

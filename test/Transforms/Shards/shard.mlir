@@ -257,3 +257,29 @@ tai.kernel @whole() {
   }
   tai.return
 }
+
+// -----
+
+// The process is known: bounds of loops are constants. The op stays, and checks
+// the number of ranks.
+module attributes {tai_mesh.rank_of_process = 3 : i64} {
+tai.tree @t : !tai.root<!tai_mesh.shard<[i: 4], dense<[i: 64], {x: f32}>>>
+tai.field @x = @t["x"] : f32, rank 1
+
+// CHECK-NOT: rank_of_process
+// CHECK-LABEL: tai.kernel @last(
+//   CHECK-DAG:   %[[LOW:.*]] = arith.constant 48 : index
+//   CHECK-DAG:   %[[HIGH:.*]] = arith.constant 62 : index
+//   CHECK-DAG:   tai_mesh.rank of 4
+//       CHECK:   tai.parallel_for (%{{.*}}) = (%[[LOW]]) to (%[[HIGH]])
+//   CHECK-NOT:   arith.maxsi
+tai.kernel @last() {
+  %c1 = arith.constant 1 : index
+  %c62 = arith.constant 62 : index
+  %one = arith.constant 1.0 : f32
+  tai.parallel_for (%i) = (%c1) to (%c62) {
+    tai.store %one, @x[%i] : f32
+  }
+  tai.return
+}
+}

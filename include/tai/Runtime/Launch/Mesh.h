@@ -17,6 +17,7 @@
 
 #include "tai/Runtime/Launch/Runtime.h"
 #include <functional>
+#include <optional>
 #include <string>
 
 namespace mlir::tai::runtime {
@@ -46,6 +47,9 @@ struct Mesh {
 
 /// Sets the mesh of the process. Call while no kernel runs.
 void setMesh(Mesh mesh);
+
+/// The number of the process in its mesh; nothing if it belongs to none.
+std::optional<int64_t> getRankOfProcess();
 
 /// The number of exchanges of the process that were left out, because the
 /// halos were current.

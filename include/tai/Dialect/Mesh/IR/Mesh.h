@@ -39,6 +39,10 @@ namespace mlir::tai {
 /// Without the attribute, such accesses to sharded fields are refused.
 inline constexpr llvm::StringLiteral kHaloAttrName = "tai_mesh.halo";
 
+/// The attribute of a module with the number of the process that runs its
+/// kernels, an integer. `tai-shard` removes it.
+inline constexpr llvm::StringLiteral kRankAttrName = "tai_mesh.rank_of_process";
+
 /// How a `shard` level divides a field among ranks: rank r has the `block` rows
 /// from `first` + r * `block` on, by their indices along `dimension`.
 struct Sharding {

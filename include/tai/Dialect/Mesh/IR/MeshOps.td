@@ -50,12 +50,14 @@ def TaiMesh_ShardType : TypeDef<TaiMesh_Dialect, "Shard", [
 class TaiMesh_Op<string mnemonic, list<Trait> traits = []>
     : Op<TaiMesh_Dialect, mnemonic, traits>;
 
-def TaiMesh_RankOp : TaiMesh_Op<"rank", [MemoryEffects<[MemRead]>]> {
+def TaiMesh_RankOp : TaiMesh_Op<"rank", [MemoryEffects<[MemRead, MemWrite]>]> {
   let summary = "the number of this process in its mesh";
   let description = [{
     Yields the number of the process that runs the kernel, from 0 to `ranks` - 1.
-    The launch fails if the mesh of the process has another number of ranks.
-    Created by `tai-shard`.
+    The launch fails if the mesh of the process has another number of ranks;
+    this is why an op without users stays. Created by `tai-shard`. If the module
+    has the attribute `tai_mesh.rank_of_process`, the users of the op take that
+    number instead.
 
     ```mlir
     %rank = tai_mesh.rank of 4
