@@ -260,7 +260,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
 /// The number of this process, if kernels of the module run on several ranks.
 static std::optional<int64_t> getRank(ModuleOp module) {
   return llvm::any_of(module.getOps<TreeOp>(), hasShards)
-             ? runtime::getRankOfProcess()
+             ? runtime::rankOfProcess()
              : std::nullopt;
 }
 

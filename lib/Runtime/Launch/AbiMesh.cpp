@@ -26,7 +26,7 @@ static std::atomic<int64_t> leftOut{0};
 
 void mlir::tai::runtime::setMesh(Mesh mesh) { ofProcess = std::move(mesh); }
 
-std::optional<int64_t> mlir::tai::runtime::getRankOfProcess() {
+std::optional<int64_t> mlir::tai::runtime::rankOfProcess() {
   if (ofProcess.ranks == 0)
     return std::nullopt;
   return ofProcess.rank;

@@ -49,7 +49,7 @@ struct Mesh {
 void setMesh(Mesh mesh);
 
 /// The number of the process in its mesh; nothing if it belongs to none.
-std::optional<int64_t> getRankOfProcess();
+std::optional<int64_t> rankOfProcess();
 
 /// The number of exchanges of the process that were left out, because the
 /// halos were current.

@@ -38,11 +38,11 @@ class HostMemory:
         """Sends rows to ranks, and stores or adds those of ranks.
 
         Args:
-            head: what each message begins with.
+            head: the number in front of each message.
             out, into: pairs of a rank and rows.
 
         Returns:
-            A rank whose message begins with something else, or None.
+            A rank whose message has another number, or None.
         """
         start = np.array([head, 0], np.int64).view(np.uint8)
         sends = [(peer, np.concatenate([start, _bytes(rows)])) for peer, rows in out]
