@@ -85,8 +85,8 @@ class LBFGS:
             TaiAutodiffError: the loss or its gradient is not finite at the start, or a tape
                 records.
         """
-        objective = Objective(function, self._user, self._parameters)
         check_outside(f"{self._user}.minimize()")
+        objective = Objective(function, self._user, self._parameters)
         gtol = check_number(self._user, "gtol", gtol, 0.0)
         ftol = check_number(self._user, "ftol", ftol, 0.0)
         k, v = get_kernels(), get_vectors()
