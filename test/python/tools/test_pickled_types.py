@@ -118,7 +118,7 @@ PROGRAM = '''
 import importlib, importlib.util, pkgutil, tai as ti
 left_out = ("__main__", "_core")
 if not importlib.util.find_spec("torch"):
-    left_out += ("tai.torch", "torch_operators", "torch_ranks", "exchanged_cuda")
+    left_out += ("tai.torch", "torch_operators", "torch_ranks", "torch_watch", "exchanged_cuda")
 if not importlib.util.find_spec("jax"):
     left_out += ("tai.jax", "jax_operators")
 for module in pkgutil.walk_packages(ti.__path__, "tai."):
