@@ -79,6 +79,7 @@ private:
   void add(std::vector<PlannedExchange> &list, RowAccess access,
            ExchangeKind kind);
   LogicalResult checkSummable(AtomicOp op, StringRef memory) const;
+  LogicalResult checkRowAddition(AtomicOp op) const;
   void add(std::vector<PlannedExchange> &list, PlannedExchange exchange);
   bool areApart(const FixedIndices &a, const FixedIndices &b) const;
   InFlightDiagnostic refuse(Operation *op) const {
@@ -424,17 +425,22 @@ LogicalResult Planner::checkSummable(AtomicOp op, StringRef memory) const {
   return success();
 }
 
+/// Reports an update of rows of other ranks that is no addition, or whose
+/// contributions cannot be summed.
+LogicalResult Planner::checkRowAddition(AtomicOp op) const {
+  if (op.getKind() != AtomicKind::Add && op.getKind() != AtomicKind::Sub)
+    return refuse(op) << "it combines a value with a row of another rank, and "
+                         "is no addition";
+  return checkSummable(op, "rows of other ranks");
+}
+
 LogicalResult Planner::planAdditions() {
   for (RowAccess &access : rows) {
     auto atomic = dyn_cast<AtomicOp>(access.op.getOperation());
     const Offset &offset = access.offset;
     if (!atomic || (offset.low >= 0 && offset.high <= 0))
       continue;
-    if (atomic.getKind() != AtomicKind::Add &&
-        atomic.getKind() != AtomicKind::Sub)
-      return refuse(atomic) << "it combines a value with a row of another "
-                               "rank, and is no addition";
-    if (failed(checkSummable(atomic, "rows of other ranks")))
+    if (failed(checkRowAddition(atomic)))
       return failure();
     PlannedExchange collect{ExchangeKind::Collect,
                             atomic.getFieldAttr(),
@@ -567,11 +573,7 @@ LogicalResult Planner::planAllRows() {
       add(plan.before, access, ExchangeKind::Gather);
       continue;
     }
-    if (atomic.getKind() != AtomicKind::Add &&
-        atomic.getKind() != AtomicKind::Sub)
-      return refuse(atomic) << "it combines a value with a row of another "
-                               "rank, and is no addition";
-    if (failed(checkSummable(atomic, "rows of other ranks")))
+    if (failed(checkRowAddition(atomic)))
       return failure();
     add(plan.before, access, ExchangeKind::Open);
     add(plan.after, access, ExchangeKind::Sum);
