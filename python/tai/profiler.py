@@ -76,7 +76,8 @@ class KernelStats:
     @property
     def roofline(self) -> float | None:
         """The share of the measured bandwidth that the kernel reaches, 0 to 1; more than 1 if its
-        memory is in a cache. None for kernels without `bytes`, and before `measure_bandwidth`."""
+        memory is in a cache. Kernels without `bytes` have None, as all have before
+        `measure_bandwidth`."""
         used = self.gigabytes_per_second
         return None if used is None or not self.roof else used / self.roof
 

@@ -1,4 +1,4 @@
-//===- PassStatistics.cpp - Counts what passes changed --------------------===//
+//===- PassStatistics.cpp - Counts the changes of passes ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -22,7 +22,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace mlir::tai {
-/// Counts for `statistics` what the passes of one manager do.
+/// Counts the changes that the passes of one manager make, for `statistics`.
 class PassCounter : public PassInstrumentation {
 public:
   explicit PassCounter(PassStatistics &statistics) : statistics(statistics) {}

@@ -1,4 +1,4 @@
-//===- PassStatistics.h - Counts what passes changed ------------*- C++ -*-===//
+//===- PassStatistics.h - Counts the changes of passes ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -30,8 +30,8 @@ namespace mlir::tai {
 /// themselves are compiled out of Debian's libMLIR.so.
 class PassStatistics {
 public:
-  /// Counts what the passes of `manager` do. Must outlive the manager, which
-  /// may run passes on several threads.
+  /// Counts the changes that the passes of `manager` make. Must outlive the
+  /// manager, which may run passes on several threads.
   void observe(PassManager &manager);
 
   /// Prints a line for each pass, in the order in which they first ran.

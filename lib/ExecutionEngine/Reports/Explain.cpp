@@ -148,8 +148,8 @@ static bool isSerialLoop(Operation *op) {
   return isa<scf::ForOp, scf::WhileOp>(op);
 }
 
-/// Prints what the cost model expects of a loop on one core; the number of
-/// threads of a launch depends on it.
+/// Prints the estimate of the cost model for a loop on one core, on which the
+/// number of threads of a launch depends.
 static void describeCost(llvm::raw_ostream &os, ParallelForOp loop,
                          std::optional<int64_t> iterations) {
   double each = estimateIteration(loop, /*isIndependent=*/true);

@@ -101,7 +101,7 @@ private:
   IndexBuilder builder;
   SmallVector<int64_t> widths;
   SmallVector<Decision> decisions;
-  /// What decided values are in the interior.
+  /// The results of decided ops in the interior.
   llvm::DenseMap<Value, IndexExpr> known;
   llvm::DenseMap<Value, bool> answers;
   bool isSmall = false;
