@@ -98,39 +98,6 @@ def apart(a: Any, b: Any, scale: Any) -> tuple[float, float]:
     return abs(a[0] - b[0]) / abs(scale[0]), float(np.linalg.norm(a[1] - b[1])) / size
 
 
-def explain_slopes(
-    sides: list[tuple[float, float]], steps: tuple[float, float], slope: float
-) -> tuple[str, str]:
-    """Explains why differences of the loss do not have the slope of the gradient, with a hint.
-
-    Args:
-        sides: the slopes along the gradient and in the other direction, for each of two steps.
-        steps: the step of each, which shrinks.
-        slope: the one that the gradient has.
-    """
-    found, closer = ((above + below) / 2 for above, below in sides)
-    hint = "move the point, or smooth the condition; ti.ad.check shows the slopes"
-    if abs(closer) > 4 * abs(found):
-        return (
-            f"the loss jumps within {steps[0]:.0e} of the point: differences of it grow as their "
-            f"step shrinks, from {found:.3g} to {closer:.3g}, and no derivative foretells that",
-            hint,
-        )
-    bends = [abs(above - below) for above, below in sides]
-    if bends[1] > max(0.05 * slope, 0.9 * bends[0]):  # a smooth loss has a 16th of the first
-        return (
-            "the point is at a kink, where no gradient holds: along its gradient the loss grows by "
-            f"{sides[1][0]:.3g}, and by {sides[1][1]:.3g} from the other side",
-            hint,
-        )
-    return (
-        f"along its gradient the loss grows by {found:.3g}, but the gradient says {slope:.3g}: "
-        "either a part of the program is outside of kernels (host code, other frameworks), "
-        "where no estimate sees it, or a kink is near by, or kernels pass numbers on as ti.f32",
-        "compute it in kernels; write float for ti.f32 in signatures; ti.ad.check finds kinks",
-    )
-
-
 def scale_of(array: np.ndarray) -> np.ndarray:
     """The magnitude of each element, but at least the average magnitude of all elements."""
     size = np.abs(array.astype(float))

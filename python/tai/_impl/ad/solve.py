@@ -36,7 +36,6 @@ from .choices import (
     Choice,
     apart,
     bytes_in,
-    explain_slopes,
     others_of,
     rounding_of,
     scale_of,
@@ -47,6 +46,7 @@ from .memory import parse_checkpoint
 from .precision import PrecisionReport, find_not_finite, owner_of
 from .retype import Version, can_change
 from .seeds import number_of, require_grad
+from .slopes import Slopes
 from .snapshot import Snapshot
 from .solution import Part, Solution, find_short_fields, options_of, place_of, worst_of
 from .tape import Tape
@@ -77,6 +77,8 @@ _LEAST_SHARE = 0.05
 _FILLED, _RUNS_TO_SHRINK = 0.4, 12
 # An estimate of the rounding error that is greater says nothing about the size of the error.
 _HOPELESS = 0.1
+# A measured error of f32 that is greater says nothing about that of f64.
+_NO_DIGITS = 0.05
 
 
 class _TooManyRuns(TaiAutodiffError):
@@ -358,30 +360,24 @@ class _Search:
 
     def _check_gradient(self, reference: Version, base: Any, report: PrecisionReport) -> None:
         """Compares the gradient with differences of the loss, which host code cannot interrupt."""
-        arrays = self._split(base[1])
+        parts = self._split(base[1])
         self._start.restore()
-        slope = sum(
-            float(np.sum(np.abs(g) * scale_of(Snapshot._take(f))))
-            for f, g in zip(self._unknowns, arrays, strict=True)
-        )
-        sides: list[tuple[float, float]] = []
+        start = [Snapshot._take(f).astype(float) for f in self._unknowns]
+        steps = [np.sign(g) * scale_of(x) for g, x in zip(parts, start, strict=True)]
+        slope = sum(float(np.sum(g * s)) for g, s in zip(parts, steps, strict=True))
 
-        def difference(h: float) -> float:
-            moved = [self._perturb([size * np.sign(g) for g in arrays]) for size in (h, -h)]
-            above, below = (self._measure(reference, change)[0] for change in moved)
-            sides.append(((above - base[0]) / h, (base[0] - below) / h))
-            return (above - below) / (2 * h)
+        def at(h: float) -> tuple[float, np.ndarray]:
+            change = self._perturb([h * np.sign(g) for g in parts])
+            loss, gradient = self._measure(reference, change)[:2]
+            # A moved input is rounded; that is no error of the program.
+            rounded = [(x + h * s - x) - h * s for x, s in zip(start, steps, strict=True)]
+            off = sum(float(np.sum(g * r)) for g, r in zip(parts, rounded, strict=True))
+            return loss - off, gradient
 
-        def is_right(found: float, h: float) -> bool:
-            noise = 4 * OF_F64 * report.expected / h
-            return abs(found - slope) <= max(self._error / 2, 1e-4) * slope + noise
-
-        h = 1e-5
-        if is_right(difference(h), h):
-            return
-        if is_right(difference(h / 16), h / 16):
-            return
-        _refuse(*explain_slopes(sides, (h, h / 16), slope))
+        self._slopes = Slopes(at, base, slope, self._error)
+        trouble = self._slopes.find_trouble(OF_F64 * report.expected, worst_of(report, OF_F64))
+        if trouble is not None:
+            _refuse(*trouble)
 
     def _measure_solvers(self, reference: Version, base: Any, report: PrecisionReport) -> Part:
         """Measures the effect of the program's solver tolerances, by a run with smaller ones."""
@@ -567,7 +563,8 @@ class _Search:
             best = min(choices, key=lambda choice: choice.estimate)
             _refuse(
                 f"error={self._error:.1e} cannot be kept: {best.name} is expected to be off by "
-                f"{best.estimate:.1e}, most of it from {worst_of(report, OF_F64)}",
+                f"{best.estimate:.1e}, most of it from {worst_of(report, OF_F64)}"
+                f"{self._slopes.magnified()}",
                 f"error={1.5 * MARGIN_OF_F64 * best.estimate:.1e} can be had",
             )
         passed: list[Choice] = []
@@ -614,12 +611,16 @@ class _Search:
                 if wide is not None and self._try(wide, reference, base, room):
                     passed = [wide]
         _refuse(
-            f"error={self._error:.1e} is not kept by any mode: " + "; ".join(self._tried),
+            f"error={self._error:.1e} is not kept by any mode: "
+            + "; ".join(self._tried)
+            + self._slopes.magnified(),
             "ask for a greater error",
         )
 
     def _scale_from_f32(self, choices: list[Choice], base: Any) -> None:
-        """Raises the error estimates of f64 to the bound that the measured f32 error implies."""
+        """Raises the error estimates of f64 to what the measured error of f32 implies; or, where
+        f32 has no digits, to what the results of near inputs show.
+        """
         plain = next(choice for choice in choices if choice.name == "f32")
         if not math.isfinite(max(plain.errors)):
             version = self._version(plain.modes, self._types(plain.base, {}))
@@ -628,13 +629,15 @@ class _Search:
             except _TooManyRuns:
                 raise
             except TaiError:
-                return
+                pass
         measured = max(plain.errors)
-        if math.isfinite(measured):
-            for choice in choices:
-                if choice.base is dtypes.f64:
-                    least = OF_F64 * measured * MARGIN_OF_DRAW / MARGIN_OF_F64
-                    choice.estimate = max(choice.estimate, least)
+        if measured < _NO_DIGITS:
+            least = OF_F64 * measured * MARGIN_OF_DRAW
+        else:
+            least = self._slopes.spread(MOST_ITERATIONS - 4 - self._iterations)
+        for choice in choices:
+            if choice.base is dtypes.f64:
+                choice.estimate = max(choice.estimate, least / MARGIN_OF_F64)
 
     def _time_again(self, passed: list[Choice]) -> None:
         """Times the fastest modes again, in turns, since a single time is a matter of chance."""
@@ -664,11 +667,12 @@ class _Search:
                 return False
             choice.errors = distance((loss, gradient), base)
             choice.bytes = bytes_in(self._places, choice)
-            self._tried.append(
-                f"{choice.name}: {max(choice.errors):.1e} measured, {choice.estimate:.1e} expected"
-            )
             # No type is wider than f64, so the error of an f64 run is the estimated one.
             is_widest = choice.base is dtypes.f64
+            least = (MARGIN_OF_F64 if is_widest else 1.0) * choice.estimate
+            self._tried.append(
+                f"{choice.name}: {max(choice.errors):.1e} measured, {least:.1e} expected"
+            )
             off = 1.25 * max(choice.errors)
             if max(off, MARGIN_OF_F64 * choice.estimate if is_widest else 0.0) <= room:
                 # The first run is not timed, because it has compiled the kernels.
