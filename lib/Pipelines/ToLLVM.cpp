@@ -21,7 +21,10 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   bool fast = options.optLevel > 0;
 
   addSourcePasses(pm, options, options.oneThread);
-  pm.addPass(createShard());
+  // One thread adds in order, and gathers nothing.
+  ShardOptions shards;
+  shards.gathers = fast && !options.oneThread;
+  pm.addPass(createShard(shards));
 
   addPerFunction(pm, [&](OpPassManager &function) {
     if (fast) {

@@ -22,7 +22,11 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   bool fast = options.optLevel > 0;
 
   addSourcePasses(pm, options);
-  pm.addPass(createShard());
+  ShardOptions shards;
+  shards.gathers = fast;
+  shards.pairSums = false;
+  shards.onDevice = true;
+  pm.addPass(createShard(shards));
 
   addPerFunction(pm, [&](OpPassManager &function) {
     if (fast) {

@@ -41,6 +41,7 @@
 #include "tai/Support/Places.h"
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Utils/ArrayRanges.h"
+#include "tai/Transforms/Utils/GatherAdditions.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_SCATTERTOGATHER
@@ -147,9 +148,12 @@ static Value createGuarded(OpBuilder &builder, Location loc, Type type,
 }
 
 /// Emits a term of `scatter` for the element that the present iteration owns.
-/// `choice` has a stray for each index, or null for the shifted iteration.
+/// `choice` has a stray for each index, or null for the shifted iteration. The
+/// index of a stray is a constant, or, if `keepsDistance`, the present one plus
+/// a constant.
 static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter,
-                       ArrayRef<const IndexSource::Stray *> choice) {
+                       ArrayRef<const IndexSource::Stray *> choice,
+                       bool keepsDistance) {
   Location loc = scatter.op.getLoc();
   IRMapping mapping;
   SmallVector<Value> inside;
@@ -161,7 +165,12 @@ static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter,
     auto constant = [&](int64_t value) -> Value {
       return arith::ConstantIndexOp::create(builder, loc, value);
     };
-    mapping.map(iv, constant(choice[k]->iteration));
+    Value source = constant(choice[k]->iteration);
+    if (keepsDistance)
+      source = arith::AddIOp::create(
+          builder, loc, iv,
+          constant(choice[k]->iteration - choice[k]->element));
+    mapping.map(iv, source);
     inside.push_back(arith::CmpIOp::create(builder, loc,
                                            arith::CmpIPredicate::eq, iv,
                                            constant(choice[k]->element)));
@@ -188,7 +197,7 @@ static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter,
 /// Emits all terms that `scatter` adds to the element that the present
 /// iteration owns.
 static void recomputeTerms(OpBuilder &builder, LoopBox &box, Scatter &scatter,
-                           SmallVectorImpl<Value> &terms) {
+                           bool keepsDistance, SmallVectorImpl<Value> &terms) {
   for (unsigned number = 0; number != scatter.getNumTerms(); ++number) {
     SmallVector<const IndexSource::Stray *> choice;
     unsigned rest = number;
@@ -197,7 +206,7 @@ static void recomputeTerms(OpBuilder &builder, LoopBox &box, Scatter &scatter,
       rest /= 1 + source.strays.size();
       choice.push_back(digit == 0 ? nullptr : &source.strays[digit - 1]);
     }
-    terms.push_back(recompute(builder, box, scatter, choice));
+    terms.push_back(recompute(builder, box, scatter, choice, keepsDistance));
   }
 }
 
@@ -260,13 +269,14 @@ static Value emitCompensatedSum(OpBuilder &builder, Location loc,
 
 /// Computes at the end of the body the terms of `group` for the element that
 /// the iteration owns.
-static Gathered gather(LoopBox &box, Group &group, TermSum sum) {
+static Gathered gather(LoopBox &box, Group &group, TermSum sum,
+                       bool keepsDistance) {
   OpBuilder builder(box.body().getTerminator());
   Scatter &first = group.front();
   Gathered gathered{first.op, {}, {}, {}};
   SmallVector<Value> values;
   for (Scatter &scatter : group)
-    recomputeTerms(builder, box, scatter, values);
+    recomputeTerms(builder, box, scatter, keepsDistance, values);
   Location loc = first.op.getLoc();
   gathered.sum = sum == TermSum::WithErrors
                      ? emitCompensatedSum(builder, loc, values)
@@ -382,10 +392,11 @@ createLaterStores(LoopBox &box,
 
 /// Replaces the additions of each group by one addition at the end of the loop
 /// body.
-static void rewrite(LoopBox &box, MutableArrayRef<Group> groups, TermSum kind) {
+static void rewrite(LoopBox &box, MutableArrayRef<Group> groups, TermSum kind,
+                    bool keepsDistance) {
   SmallVector<Gathered> all;
   for (Group &group : groups)
-    all.push_back(gather(box, group, kind));
+    all.push_back(gather(box, group, kind, keepsDistance));
   sinkAdditions(box);
   OpBuilder builder(box.body().getTerminator());
   for (Gathered &gathered : all) {
@@ -458,23 +469,19 @@ static void report(AtomicOp op, const GatherRefusal *why) {
     remark << remark::metric("Line", std::to_string(place.getLine()));
 }
 
-namespace {
-struct GatherOptions {
-  unsigned maxOps;
-  /// True if sums of f64 may keep their rounding errors in a second sum.
-  bool pairSums;
-  /// True if stores of the loop may move to a loop of their own.
-  bool movesStores;
-};
-} // namespace
-
 /// Turns all scatters of the loop that can be gathered into gathers; true if
-/// there were any.
-static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
+/// there were any. If `movesStores`, stores of the loop may move to a loop of
+/// their own, which `later` is then set to.
+static bool gatherLoop(LoopBox &box, const GatherOptions &options,
+                       bool movesStores, ParallelForOp *later = nullptr) {
+  auto tell = [&](AtomicOp op, const GatherRefusal *why) {
+    if (options.use != GatherOptions::Use::TrialForRanks)
+      report(op, why);
+  };
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
   int64_t reach = 0;
   std::optional<Owned> owned;
-  if (options.movesStores) {
+  if (movesStores) {
     SmallVector<AtomicOp> additions;
     box.loop.walk([&](AtomicOp op) { additions.push_back(op); });
     llvm::for_each(additions, forwardAddition);
@@ -488,7 +495,7 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   // gets more iterations afterwards.
   llvm::SmallPtrSet<Operation *, 4> stores;
   ParallelForOp laterStores;
-  if (options.movesStores && llvm::any_of(byStorage, [](auto &entry) {
+  if (movesStores && llvm::any_of(byStorage, [](auto &entry) {
         return !llvm::all_of(entry.second,
                              [](AtomicOp op) { return op.getExclusive(); });
       }))
@@ -508,7 +515,7 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
     if (kind == TermSum::Unavailable) {
       why.set(atomics.front(), "a GPU adds f64 and their rounding errors "
                                "atomically");
-      report(atomics.front(), &why);
+      tell(atomics.front(), &why);
       continue;
     }
     LoopMemory memory(box.loop);
@@ -521,10 +528,10 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
         },
         why);
     if (groups.empty() || !isOnlyAccess(field, box, groups, why)) {
-      report(atomics.front(), &why);
+      tell(atomics.front(), &why);
       continue;
     }
-    report(atomics.front(), nullptr);
+    tell(atomics.front(), nullptr);
     needsLater |= needsLaterHere;
     if (succeeded(visited) && reach >= 0) {
       int64_t here = getReach(*visited, groups);
@@ -534,16 +541,20 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
     if (!owned && (wanted.lower != box.lower || wanted.upper != box.upper))
       widen(box, wanted);
     owned = wanted;
-    rewrite(box, groups, kind);
+    rewrite(box, groups, kind,
+            /*keepsDistance=*/options.use != GatherOptions::Use::OneProcess);
     changed = true;
   }
   if (changed && succeeded(visited))
     box.loop.setReach(reach);
-  if (laterStores && !needsLater)
+  if (laterStores && !needsLater) {
     laterStores.erase();
-  else
-    for (Operation *store : stores)
-      store->erase();
+    return changed;
+  }
+  for (Operation *store : stores)
+    store->erase();
+  if (later)
+    *later = laterStores;
   return changed;
 }
 
@@ -563,7 +574,7 @@ static void reportAll(ParallelForOp loop, StringRef reason) {
 static void gatherSparseLoop(ParallelForOp loop, LoopBox &box,
                              const GatherOptions &options) {
   ParallelForOp scattered = loop.clone();
-  if (!gatherLoop(box, options)) {
+  if (!gatherLoop(box, options, /*movesStores=*/false)) {
     scattered.erase();
     return;
   }
@@ -574,6 +585,26 @@ static void gatherSparseLoop(ParallelForOp loop, LoopBox &box,
                                   /*withElseRegion=*/true);
   loop->moveBefore(branch.thenBlock(), branch.thenBlock()->begin());
   branch.elseBlock()->getOperations().push_front(scattered);
+}
+
+/// On a GPU, stores stay in the loop: threads add quickly in any order, and a
+/// loop for the stores is a second launch.
+static bool mayMoveStores(ParallelForOp loop, const GatherOptions &options) {
+  return !options.onDevice || hasFixedBits(loop);
+}
+
+SmallVector<ParallelForOp> tai::gatherAdditions(ParallelForOp loop,
+                                                const GatherOptions &options) {
+  std::optional<LoopBox> box = getConstantBox(loop);
+  ParallelForOp later;
+  if (!box || loop.getInductionVars().empty() || checksIndices(loop) ||
+      loop.getInOrder() ||
+      !gatherLoop(*box, options, mayMoveStores(loop, options), &later))
+    return {};
+  SmallVector<ParallelForOp> loops{loop};
+  if (later)
+    loops.push_back(later);
+  return loops;
 }
 
 namespace {
@@ -593,12 +624,12 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
                             : "the bounds of the loop are known at run time");
         continue;
       }
-      GatherOptions options{maxOps, pairSums, /*movesStores=*/false};
+      GatherOptions options;
+      options.maxOps = maxOps;
+      options.pairSums = pairSums;
+      options.onDevice = onDevice;
       if (failed(getSparseLoopField(loop))) {
-        // On a GPU, stores stay in the loop: threads add quickly in any order,
-        // and a loop for the stores is a second launch.
-        options.movesStores = !onDevice || hasFixedBits(loop);
-        gatherLoop(*box, options);
+        gatherLoop(*box, options, mayMoveStores(loop, options));
       } else if (keepsActivity(loop) &&
                  !loop->getParentOfType<ParallelForOp>()) {
         gatherSparseLoop(loop, *box, options);

@@ -13,8 +13,10 @@
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "mlir/Transforms/GreedyPatternRewriteDriver.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Analysis/Accesses.h"
 #include "tai/Support/Places.h"
 #include "tai/Transforms/Shards/Passes.h"
+#include "tai/Transforms/Utils/GatherAdditions.h"
 #include "llvm/Support/raw_ostream.h"
 #include "llvm/Support/xxhash.h"
 
@@ -176,6 +178,37 @@ static void report(ParallelForOp loop, const ShardPlan &plan) {
       tell(exchange);
 }
 
+/// Lets the owner of a row make all additions to it, if that needs only halos
+/// that the loop reads. Returns the loops that take the place of the loop.
+static SmallVector<ParallelForOp> gather(ParallelForOp loop,
+                                         GatherOptions options) {
+  // Additions at rows that data choose would be those of a wider halo.
+  if (loop->hasAttr(kHaloAttrName))
+    return {loop};
+  options.use = GatherOptions::Use::TrialForRanks;
+  OpBuilder builder(loop);
+  auto copy = cast<ParallelForOp>(builder.clone(*loop));
+  SmallVector<ParallelForOp> trial = gatherAdditions(copy, options);
+  auto isGood = [](ParallelForOp part) {
+    if (!touchesShards(part))
+      return true;
+    FailureOr<ShardPlan> plan = planShards(part, /*reports=*/false);
+    return succeeded(plan) && !plan->isWhole &&
+           llvm::none_of(plan->after, [](const PlannedExchange &exchange) {
+             return exchange.kind == ExchangeKind::Collect;
+           });
+  };
+  bool isChosen = !trial.empty() && llvm::all_of(trial, isGood);
+  if (trial.empty())
+    trial.push_back(copy);
+  for (ParallelForOp part : trial)
+    part.erase();
+  if (!isChosen)
+    return {loop};
+  options.use = GatherOptions::Use::Ranks;
+  return gatherAdditions(loop, options);
+}
+
 static LogicalResult shardLoop(ParallelForOp loop) {
   FailureOr<ShardPlan> plan = planShards(loop);
   if (failed(plan))
@@ -243,6 +276,13 @@ struct Shard : tai::impl::ShardBase<Shard> {
     }
     if (!isSharded)
       return;
+    GatherOptions options;
+    options.pairSums = pairSums;
+    options.onDevice = onDevice;
+    // As in front of tai-scatter-to-gather.
+    if (gathers)
+      getOperation()->walk(
+          [](KernelOp kernel) { markExclusiveAtomics(kernel); });
     SmallVector<ParallelForOp> loops;
     WalkResult result =
         getOperation()->walk<WalkOrder::PreOrder>([&](Operation *op) {
@@ -261,8 +301,10 @@ struct Shard : tai::impl::ShardBase<Shard> {
     if (result.wasInterrupted())
       return signalPassFailure();
     for (ParallelForOp loop : loops)
-      if (failed(shardLoop(loop)))
-        return signalPassFailure();
+      for (ParallelForOp part :
+           gathers ? gather(loop, options) : SmallVector<ParallelForOp>{loop})
+        if (touchesShards(part) && failed(shardLoop(part)))
+          return signalPassFailure();
     // Digests are equal on all ranks, so the rank is not known until they are.
     getOperation()->walk([](KernelOp kernel) { setDigests(kernel); });
     if (failed(fixRank(getOperation())))

@@ -49,9 +49,28 @@ constexpr int64_t kAllRows = -1;
 /// Offsets beyond this number are no halos of any field.
 constexpr int64_t kFarthest = int64_t(1) << 30;
 
+/// The reason why a loop cannot be planned. An error, if there is one, takes
+/// it.
+class Refusal {
+public:
+  explicit Refusal(std::optional<InFlightDiagnostic> error)
+      : error(std::move(error)) {}
+
+  template <typename Part> Refusal &operator<<(Part &&part) {
+    if (error)
+      *error << std::forward<Part>(part);
+    return *this;
+  }
+  operator LogicalResult() const { return failure(); }
+
+private:
+  std::optional<InFlightDiagnostic> error;
+};
+
 class Planner {
 public:
-  explicit Planner(ParallelForOp loop) : loop(loop) {}
+  explicit Planner(ParallelForOp loop, bool reports)
+      : loop(loop), reports(reports) {}
 
   FailureOr<ShardPlan> run();
 
@@ -82,14 +101,19 @@ private:
   LogicalResult checkRowAddition(AtomicOp op) const;
   void add(std::vector<PlannedExchange> &list, PlannedExchange exchange);
   bool areApart(const FixedIndices &a, const FixedIndices &b) const;
-  InFlightDiagnostic refuse(Operation *op) const {
-    return op->emitError("cannot run on several ranks: ");
+  Refusal refuse(Operation *op) const { return refuse(op->getLoc()); }
+  Refusal refuse(Location loc) const {
+    if (!reports)
+      return Refusal(std::nullopt);
+    return Refusal(emitError(loc) << "cannot run on several ranks: ");
   }
   bool isOutside(Value value) const {
     return !loop->isAncestor(value.getParentRegion()->getParentOp());
   }
 
   ParallelForOp loop;
+  /// True if refusals are errors.
+  bool reports;
   IndexBuilder builder;
   ShardPlan plan;
   /// The rows beyond those of a rank that data may choose, or `kAllRows`.
@@ -475,15 +499,14 @@ LogicalResult Planner::checkReadsOfAdditions() {
   for (auto [number, collect] : llvm::enumerate(plan.after)) {
     for (const PlannedExchange &read : plan.before)
       if (read.field == collect.field && !areApart(read.at, collect.at))
-        return emitError(collect.loc)
-               << "cannot run on several ranks: the loop adds to rows of '"
-               << collect.field << "' of another rank, and reads such rows";
+        return refuse(collect.loc)
+               << "the loop adds to rows of '" << collect.field
+               << "' of another rank, and reads such rows";
     for (const PlannedExchange &other :
          ArrayRef(plan.after).drop_front(number + 1))
       if (other.field == collect.field && !areApart(other.at, collect.at))
-        return emitError(other.loc)
-               << "cannot run on several ranks: the loop adds to rows of '"
-               << collect.field
+        return refuse(other.loc)
+               << "the loop adds to rows of '" << collect.field
                << "' of another rank at several indices along other axes";
   }
   return success();
@@ -540,9 +563,8 @@ LogicalResult Planner::planCopies() {
                               << "', and combines it over ranks";
     for (const PlannedExchange &other : ArrayRef(totals).drop_front(number + 1))
       if (other.field == total.field && !areApart(other.at, total.at))
-        return emitError(other.loc)
-               << "cannot run on several ranks: the loop updates '"
-               << total.field << "' in several ways";
+        return refuse(other.loc)
+               << "the loop updates '" << total.field << "' in several ways";
     if (total.kind == ExchangeKind::Sum) {
       PlannedExchange open = total;
       open.kind = ExchangeKind::Open;
@@ -622,6 +644,6 @@ FailureOr<ShardPlan> Planner::run() {
   return std::move(plan);
 }
 
-FailureOr<ShardPlan> tai::planShards(ParallelForOp loop) {
-  return Planner(loop).run();
+FailureOr<ShardPlan> tai::planShards(ParallelForOp loop, bool reports) {
+  return Planner(loop, reports).run();
 }

@@ -68,9 +68,9 @@ struct ShardPlan {
 /// True if the loop visits or accesses a sharded field.
 bool touchesShards(ParallelForOp loop);
 
-/// The plan of a loop that touches a sharded field; reports what cannot be
-/// planned.
-FailureOr<ShardPlan> planShards(ParallelForOp loop);
+/// The plan of a loop that touches a sharded field. If `reports`, an error
+/// tells what cannot be planned.
+FailureOr<ShardPlan> planShards(ParallelForOp loop, bool reports = true);
 
 } // namespace mlir::tai
 

@@ -368,6 +368,51 @@ def host(transport: Any, fp: Any, n: int = 12) -> dict[str, Any]:
     return found
 
 
+def stencil(transport: Any, n: int, threads: int, deterministic: bool) -> dict[str, Any]:
+    """The gradient of stencils on n rows of 8 points, with the exchanges of the reverse sweep."""
+    begin(transport, ti.f32, cpu_max_num_threads=threads, deterministic=deterministic)
+    u, v, w, loss = (ti.field(ti.f32) for _ in range(4))
+    root(transport, ti.j).dense(ti.ijk, (3, n, 8)).place(u)
+    root(transport, ti.i).dense(ti.ij, (n, 8)).place(v, w)
+    ti.root.place(loss)
+    ti.root.lazy_grad()
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i, j in ti.ndrange((1, n - 1), (1, 7)):
+            around = u[t - 1, i - 1, j] + u[t - 1, i + 1, j]
+            around += u[t - 1, i, j - 1] + u[t - 1, i, j + 1]
+            u[t, i, j] = 0.2 * around - u[t - 2, i, j]
+
+    @ti.kernel
+    def bend():
+        for i, j in ti.ndrange(n, 8):
+            v[i, j] = u[2, i, j] * u[2, ti.max(i - 1, 0), j]
+
+    @ti.kernel
+    def meet():
+        for i, j in ti.ndrange((0, n - 1), 8):
+            w[i, j] = v[i, j] * v[i + 1, j] + v[i, j]
+
+    @ti.kernel
+    def measure():
+        for i, j in ti.ndrange((n // 2, n), (2, 5)):
+            loss[None] += w[i, j] * w[i, j]
+
+    u.from_numpy(_noise(3, n, 8).astype(np.float32))
+    mesh = mesh_of_program()
+    with ti.ad.Tape(loss):
+        step(2)
+        bend()
+        meet()
+        measure()
+        before = dict(mesh.counts) if mesh else {}
+    after = dict(mesh.counts) if mesh else {}
+    made = {key: after[key] - before.get(key, 0) for key in after}
+    return {"loss": loss[None], "gradient": u.grad.to_numpy(), "v": v.grad.to_numpy(),
+            "made": {key: count for key, count in made.items() if count}}  # fmt: skip
+
+
 def fixed(transport: Any, threads: int, n: int) -> dict[str, bytes]:
     """The bits of sums and gradients in deterministic mode."""
     begin(transport, ti.f32, deterministic=True, cpu_max_num_threads=threads)

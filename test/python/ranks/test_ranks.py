@@ -53,6 +53,31 @@ def test_deterministic_ranks_give_the_bits_of_one_process():
                 assert result[name] == bits, (ranks, name)
 
 
+@pytest.mark.parametrize(
+    ("rows", "ranks", "made"),
+    [(24, 2, {"fetch": 5}), (24, 4, {"fetch": 5}), (8, 4, {"fetch": 5}),
+     # The interior of four rows is too small a part of the field.
+     (4, 4, {"fetch": 4, "clear": 1, "collect": 1})],
+)  # fmt: skip
+def test_gradients_of_stencils_are_gathered_from_halos(rows, ranks, made):
+    whole = rank_scenes.stencil(None, rows, 2, False)
+    for result in rank_pipes.run_ranks(rank_scenes.stencil, ranks, rows, 2, False):
+        assert not isinstance(result, str), result
+        assert result["made"] == made
+        for name in ("loss", "gradient", "v"):
+            scale = max(1.0, np.abs(whole[name]).max())
+            assert np.abs(np.asarray(result[name]) - whole[name]).max() / scale <= 1e-6, name
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_deterministic_gradients_of_stencils_have_the_bits_of_one_process(threads):
+    whole = rank_scenes.stencil(None, 24, threads, True)
+    for result in rank_pipes.run_ranks(rank_scenes.stencil, 2, 24, threads, True):
+        assert not isinstance(result, str), result
+        for name in ("loss", "gradient", "v"):
+            assert np.array_equal(result[name], whole[name]), name
+
+
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_halos_that_are_current_are_not_fetched_again(ranks):
     whole = rank_scenes.reuse(None, ti.f64)

@@ -120,7 +120,8 @@ def test_explain_tells_what_ranks_exchange(mesh):
     assert "fetches 2 rows before and 1 row behind those of the rank of x (line " in text
     assert "all-reduces total (sum) (line " in text
     assert "gradient at test_refused_ranks.py:" in text
-    assert "adds 2 rows before and 1 row behind those of the rank of x_grad to the rows" in text
+    # The gradient of a row is gathered from the rows that read it.
+    assert "fetches 1 row before and 2 rows behind those of the rank of y_grad (line " in text
 
 
 def test_explain_tells_why_ranks_gather(mesh):

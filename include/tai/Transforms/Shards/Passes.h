@@ -9,6 +9,7 @@
 #define TAI_TRANSFORMS_SHARDS_PASSES_H
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/Pass/Pass.h"
 #include "tai/Dialect/Mesh/IR/Mesh.h"

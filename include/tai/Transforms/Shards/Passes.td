@@ -32,6 +32,11 @@ def Shard : Pass<"tai-shard", "::mlir::ModuleOp"> {
     that it has in one process, and if it fills memory of the kernel for later
     loops, as adjoints of minima and maxima do.
 
+    With `gathers`, additions to shifted rows, as adjoints of stencils make them,
+    first become gathers (see `tai-scatter-to-gather`), so that the loop fetches
+    rows that it reads, and collects none. A loop stays as it is if ranks could
+    not run its gathering form, or if that form has additions to other rows, too.
+
     Indices and addresses remain those of the whole field. Other loops, which
     all ranks run alike, and programs without a `shard` level do not change. See
     docs/decisions/0075-shards.md.
@@ -63,7 +68,15 @@ def Shard : Pass<"tai-shard", "::mlir::ModuleOp"> {
     }
     ```
   }];
+  let options = [
+    Option<"gathers", "gathers", "bool", /*default=*/"false",
+           "Gather additions to rows of other ranks where that is possible">,
+    Option<"pairSums", "pair-sums", "bool", /*default=*/"true",
+           "As for tai-scatter-to-gather">,
+    Option<"onDevice", "on-device", "bool", /*default=*/"false",
+           "As for tai-scatter-to-gather">];
   let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
                            "::mlir::tai::TaiMeshDialect",
                            "::mlir::tai::TaiDialect"];
 }
