@@ -6,7 +6,9 @@ import weakref
 from typing import Any
 
 from ...errors import TaiAutodiffError, TaiRuntimeTypeError, shorten
+from ..ad.mode import suspended
 from ..ad.seeds import parts_of
+from ..ad.snapshot import Snapshot
 from ..ad.sparse import sparse_level
 from ..base import state
 from ..base.program import at_close, get_program
@@ -15,9 +17,11 @@ from ..fields.make import make_field
 from ..launch.bound_kernel import BoundKernel
 from ..launch.kernels import Kernel
 from ..tracking import tracked
+from .vectors import get_kernels
 
 # Scratch fields of the solvers, by thread, role, type and shape, while the program lasts.
 _scratch: dict[tuple, Any] = {}
+_WITH_DUALS = {"image", "unknown", "solution_tangent", "adjoint_tangent"}
 at_close.append(_scratch.clear)
 
 
@@ -73,7 +77,7 @@ def _offset(field: Any) -> tuple[int, ...]:
 def scratch(like: Any, role: str, rows: int = 0, columns: int = 0) -> Any:
     """A scratch field with the elements of another field, for the solvers of this thread.
 
-    Scratch fields whose role is `image` have a gradient, and a dual, too. With `rows`, it holds
+    Those whose role is `image` have a gradient, and some have a dual. With `rows`, it holds
     that many times the elements, by an index in front of theirs; with `columns`, that many rows
     and one column more of numbers in the place of each element.
     """
@@ -88,7 +92,7 @@ def scratch(like: Any, role: str, rows: int = 0, columns: int = 0) -> Any:
             element = ()
         made: Any = make_field(
             element, like.dtype, shape, None, f"solver_{role}",
-            offset if any(offset) else None, role == "image", role in ("image", "unknown"),
+            offset if any(offset) else None, role == "image", role in _WITH_DUALS,
         )  # fmt: skip
         made.materialize()
         _scratch[key] = made
@@ -197,6 +201,38 @@ class Operator:
         self._linear().grad(*self._first, self.x, self.image, *self._plain)
         self.image.grad.fill(0)
 
+    def pull_tangent(self, adjoint: Any) -> None:
+        """Computes x.grad.dual, the tangent of Jᵀ adjoint by all that the kernel reads; in forward
+        mode. Their gradients stay as they are.
+
+        Raises:
+            TaiAutodiffError: one of them is sparse.
+        """
+        found = self._places(self.x, self.image, self._plain)
+        kept = []
+        for place in found.fields:
+            if place in _parts(self.x) or place in _parts(self.image):
+                continue
+            for grad in _gradients_of(place):
+                if sparse_level(grad) is not None:
+                    raise TaiAutodiffError(
+                        f"{self.solver} has no second derivative: kernel '{self.name}' "
+                        f"({self.place}) reads field '{place.name}', which is sparse",
+                        "make it dense",
+                    )
+                kept.append((grad, Snapshot._take(grad)))
+        kernels = get_kernels()
+        with suspended():
+            self.x.grad.fill(0)
+            self.x.grad.dual.fill(0)
+        kernels.copy(self.image.grad, adjoint)
+        self._kernel.grad(*self._first, self.x, self.image, *self._plain)
+        with suspended():
+            self.image.grad.fill(0)
+            self.image.grad.dual.fill(0)
+        for grad, array in kept:
+            grad.core.copy_from(array)
+
     def push(self, source: Any) -> None:
         """Computes image.dual = J source.dual in forward mode, at the present `source`."""
         self._run(self._linear(), source, self.image, self._plain)
@@ -229,6 +265,15 @@ class Operator:
             made._specializations.find_constants = find_constants
             self._kernel._linearized = made
         return made
+
+
+def _gradients_of(place: Any) -> list[Any]:
+    """The gradient of a field, and the tangents of the gradient, as far as they are in memory."""
+    grad = place._companions.get("grad")
+    if grad is None or grad.snode is None:
+        return []
+    dual = grad._companions.get("dual")
+    return [grad] if dual is None or dual.snode is None else [grad, dual]
 
 
 def _parts(field: Any) -> set[Any]:

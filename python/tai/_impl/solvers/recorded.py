@@ -5,6 +5,9 @@ solvers; a copy of it to x; the kernel at x; and a function that runs in reverse
 solves Jᵀ λ = x.grad, J = ∂R/∂x, and gives -λ to the kernel's own adjoint, which the tape runs
 next: it adds -(∂R/∂θ)ᵀ λ to the gradients of all that the kernel reads. The tape saves the values
 that adjoints read, as for any kernel.
+
+In forward mode, the tangents of a linear solve A x = b are those of two more solves:
+A ẋ = ḃ - Ȧ x beside the first, and Aᵀ λ̇ = ġ - Ȧᵀ λ beside the adjoint one.
 """
 
 from __future__ import annotations
@@ -58,26 +61,41 @@ def run(
         check_alike(start, operator.x, caller.solver)
     info = SolveInfo(solver=caller.solver, x=operator.x, place=(caller.filename, caller.lineno))
     tape: Any = state.tape
+    x = operator.x
     if tape is None:
         with suspended():
-            progress = solve(operator.x)
+            progress = solve(x)
         info.take(progress)
         caller.warn(operator, progress, "field", False)
         if state.forward and solve_tangent is not None:
-            _take_tangent(caller, operator, solve_tangent)
+            _take_tangent(caller, operator, solve_tangent, x)
         return info
     operator.check_differentiable()
     state.of_thread.solves.append(info)
     has_report = state.of_thread.rounding is not None
     kernels = get_kernels()
-    x = operator.x
-    solution = scratch(x, "solution")
+    has_tangents = state.forward
+    found = solution = scratch(x, "solution")
+    if has_tangents:
+        solution = scratch(x, "solution_tangent")
+
+    def is_forward() -> bool:
+        if state.forward and not has_tangents:
+            caller.refuse_tangents(" on a tape that was recorded outside of it")
+        return bool(state.forward)
 
     def forward() -> None:
-        kernels.copy(solution, x)
-        progress = solve(solution)
+        with suspended():
+            kernels.copy(found, x)
+            progress = solve(found)
         info.take(progress)
         caller.warn(operator, progress, "field", True)
+        if has_tangents:
+            kernels.copy(
+                solution, found
+            )  # a tape saves tangents where values with them are written
+        if is_forward() and solve_tangent is not None:
+            _take_tangent(caller, operator, solve_tangent, solution)
 
     run_unrecorded(tape, forward)
     tape.record(forward, None)
@@ -85,23 +103,31 @@ def run(
     operator.record()
 
     def backward() -> None:
-        g, adjoint = scratch(x, "seed"), scratch(x, "adjoint")
-        kernels.copy(g, x.grad)
-        if start is None:
-            adjoint.fill(0)
-        else:
-            kernels.copy(adjoint, start)
-        progress, projected = solve_adjoint(g, adjoint)
-        if start is not None:
-            kernels.copy(start, adjoint)
-        if progress.reason == "not finite":
-            # The adjoint becomes NaN, so that NaN spreads as it would have without a solver.
-            adjoint.fill(math.nan)
+        is_tangent = is_forward()
+        g, seed = scratch(x, "seed"), scratch(x, "tangent_seed")
+        adjoint = scratch(x, "adjoint_tangent" if has_tangents else "adjoint")
+        with suspended():
+            kernels.copy(g, x.grad)
+            if is_tangent:
+                kernels.copy(seed, x.grad.dual)
+            if start is None:
+                adjoint.fill(0)
+            else:
+                kernels.copy(adjoint, start)
+            progress, projected = solve_adjoint(g, adjoint)
+            if start is not None:
+                kernels.copy(start, adjoint)
+            if progress.reason == "not finite":
+                # The adjoint becomes NaN, so that NaN spreads as it would have without a solver.
+                adjoint.fill(math.nan)
+            if has_report:
+                info.effect = info.misfit * norm_of(adjoint)
         info.adjoint = SolveInfo(solver=caller.solver, x=operator.x.grad, projected=projected)
         info.adjoint.take(progress)
         caller.warn(operator, progress, "the gradient of field", False)
-        if has_report:
-            info.effect = info.misfit * norm_of(adjoint)
+        if is_tangent:
+            _take_tangent_of_adjoint(caller, operator, solve_adjoint, seed, adjoint)
+            x.grad.dual.fill(0)
         if right_side is not None and has_gradient(right_side):
             kernels.add(right_side.grad, adjoint, 1.0)
         x.grad.fill(0)
@@ -112,10 +138,9 @@ def run(
 
 
 def _take_tangent(
-    caller: Caller, operator: Operator, solve_tangent: Callable[[Any, Any], Progress]
+    caller: Caller, operator: Operator, solve_tangent: Callable[[Any, Any], Progress], x: Any
 ) -> None:
     """Computes x.dual, the solution of A ẋ = ḃ - Ȧ x."""
-    x = operator.x
     dual = x.dual
     if dual is None or dual.snode is None:
         return  # a constant of forward mode
@@ -132,6 +157,24 @@ def _take_tangent(
         progress = solve_tangent(rest, tangent)
         k.copy(dual, tangent)
     caller.warn(operator, progress, "the tangent of field", False)
+
+
+def _take_tangent_of_adjoint(
+    caller: Caller, operator: Operator, solve_adjoint: Callable[[Any, Any], Adjoint],
+    seed: Any, adjoint: Any,
+) -> None:  # fmt: skip
+    """Computes the tangent of the adjoint λ, the solution of Aᵀ λ̇ = ġ - Ȧᵀ λ, where seed is ġ."""
+    x, k = operator.x, get_kernels()
+    with suspended():
+        adjoint.dual.fill(0)
+    operator.pull_tangent(adjoint)
+    with suspended():
+        k.subtract(seed, seed, x.grad.dual, 1.0)
+        tangent = scratch(x, "adjoint")
+        tangent.fill(0)
+        progress, _ = solve_adjoint(seed, tangent)
+        k.copy(adjoint.dual, tangent)
+    caller.warn(operator, progress, "the tangent of the gradient of field", False)
 
 
 def subtract_from_tangent(b: Any, rest: Any) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 from ...errors import TaiAutodiffError, TaiConvergenceWarning, TaiRuntimeTypeError, shorten
 from ..base import state
@@ -125,14 +125,8 @@ class Caller:
         self.solver = solver
         self.filename, self.lineno = frame.f_code.co_filename, frame.f_lineno
         self.module = frame.f_globals.get("__name__", "")
-        if state.forward and (not has_tangents or state.tape is not None):
-            error = TaiAutodiffError(
-                f"{solver} has no derivative in forward mode"
-                + (" under a tape" if has_tangents else ""),
-                "take the gradient by a ti.ad.Tape alone",
-            )
-            error.locate(self.filename, self.lineno, 1)
-            raise error
+        if state.forward and not has_tangents:
+            self.refuse_tangents("")
         if tolerance is None:
             tolerance = 1e-10 if dtype_name == "f64" else 1e-5
         if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float)):
@@ -152,6 +146,16 @@ class Caller:
         self.tolerance, self.limit = float(tolerance), limit
         if self.is_tightened:
             self.tolerance = max(self.tolerance * scale, LEAST_TOLERANCE[dtype_name])
+
+    def refuse_tangents(self, where: str) -> NoReturn:
+        """Says that the solver has no derivative in forward mode."""
+        error = TaiAutodiffError(
+            f"{self.solver} has no derivative in forward mode{where}",
+            "pass the function in the place of the tape" if where
+            else "take the gradient by a ti.ad.Tape alone",
+        )  # fmt: skip
+        error.locate(self.filename, self.lineno, 1)
+        raise error
 
     def warn(self, operator: Operator, progress: Progress, what: str, is_recorded: bool) -> None:
         """Warns that a solve did not converge."""
