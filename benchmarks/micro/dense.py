@@ -111,16 +111,16 @@ def one_body_by_launches():
     )
 
 
-def taped(loss, *kernels):
+def taped(loss, *kernels, incremental=False):
     def run():
-        with ti.ad.Tape(loss):
+        with ti.ad.Tape(loss, incremental=incremental):
             for kernel in kernels:
                 kernel()
 
     return run
 
 
-@row()
+@row("unread-zeros")
 def sum_of_a_field():
     """Its two kernels are needed, and no clear."""
     x, loss = real(MANY), ti.field(ti.f32, shape=(), needs_grad=True)
@@ -150,7 +150,7 @@ def map_and_sum():
     return taped(loss, total), total
 
 
-@row()
+@row("unchanged-launches")
 def fixed_inputs():
     """Features of numbers that never change, weighed by those that do."""
     x, h = real(MANY, needs_grad=False), real(MANY, needs_grad=False)
@@ -169,7 +169,7 @@ def fixed_inputs():
         for i in w:
             loss[None] += w[i] * h[i]
 
-    return taped(loss, feature, weigh), taped(loss, weigh)
+    return taped(loss, feature, weigh, incremental=True), taped(loss, weigh)
 
 
 def least(run, clock):

@@ -532,6 +532,10 @@ TAI_EXPORT TaiStatus taiTapeAddLoss(TaiTape tape, TaiField loss);
 /// of the other fields that the sweep uses are zero, except those of losses.
 TAI_EXPORT TaiStatus taiTapeWant(TaiTape tape, const TaiField *fields,
                                  int64_t count);
+/// Makes the tape incremental, while it has no records: a launch is recorded,
+/// and not run, if an earlier incremental tape has run it, and the fields that
+/// it reads and writes have not been written since.
+TAI_EXPORT TaiStatus taiTapeSkipUnchanged(TaiTape tape);
 /// Sets the gradient of a loss at the start of a sweep: a row-major array of
 /// the type of the gradient.
 TAI_EXPORT TaiStatus taiTapeSetSeed(TaiTape tape, TaiField loss,

@@ -344,6 +344,7 @@ TaiStatus taiFieldGetAddress(TaiField handle, const int64_t *indices,
     else if (status)
       *address = tree.base() + offset;
     handle->field->settleZeros();
+    tree.noteLent();
     return context.status(status);
   });
 }

@@ -24,6 +24,12 @@ TaiStatus taiTapeWant(TaiTape tape, const TaiField *fields, int64_t count) {
   });
 }
 
+TaiStatus taiTapeSkipUnchanged(TaiTape tape) {
+  return call(tape->context, [&]() -> TaiStatus {
+    return tape->context.status(tape->tape->skipUnchanged());
+  });
+}
+
 TaiStatus taiTapeSetSeed(TaiTape tape, TaiField loss, const void *array) {
   return call(tape->context, [&]() -> TaiStatus {
     return tape->context.status(tape->tape->setSeed(*loss->field, array));

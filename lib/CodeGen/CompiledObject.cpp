@@ -15,13 +15,13 @@ using namespace llvm;
 using namespace mlir::tai;
 
 // The format of a serialized object: the magic, the symbol, the code, the
-// demands of the adjoint, the places, the counts, the loop levels, the warnings
-// (the lines and columns of all warnings, then the texts of each), the image of
-// the device (its kind and the number of its functions, or nothing; its bytes,
-// its machine code, its bitcode, the functions' names and accesses, their block
-// sizes and their places), and the trees up to the end. Each string is its
-// length in eight bytes and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ11\n";
+// demands of the adjoint, the places, the counts, the loop levels, the adjoints
+// that are stored first, the warnings (the lines and columns of all warnings,
+// then the texts of each), the image of the device (its kind and the number of
+// its functions, or nothing; its bytes, its machine code, its bitcode, the
+// functions' names and accesses, their block sizes and their places), and the
+// trees up to the end. Each string is its length in eight bytes and its bytes.
+static constexpr StringLiteral magic = "TAIOBJ12\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -174,6 +174,7 @@ std::string CompiledObject::serialize() const {
   append(bytes, places);
   append(bytes, ArrayRef<int64_t>(skipped.data(), skipped.size()));
   append(bytes, ArrayRef<int64_t>(loopLevels));
+  append(bytes, join(storesFirst, ","));
   append(bytes, ArrayRef<Warning>(warnings));
   append(bytes, image);
   for (const std::string &tree : trees)
@@ -193,11 +194,16 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
     return std::nullopt;
   auto counts = consumeNumbers(bytes);
   auto levels = counts ? consumeNumbers(bytes) : std::nullopt;
-  if (!levels || counts->size() != kNumSkipCounts || levels->size() % 2)
+  auto stored = levels ? consume(bytes) : std::nullopt;
+  if (!stored || counts->size() != kNumSkipCounts || levels->size() % 2)
     return std::nullopt;
   CompiledObject object;
   copy(*counts, object.skipped.begin());
   object.loopLevels = std::move(*levels);
+  SmallVector<StringRef> fields;
+  stored->split(fields, ',', /*MaxSplit=*/-1, /*KeepEmpty=*/false);
+  for (StringRef field : fields)
+    object.storesFirst.push_back(field.str());
   if (!consumeWarnings(bytes, object.warnings) ||
       !consumeImage(bytes, object.image))
     return std::nullopt;

@@ -80,6 +80,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
 
     // Accumulations are planned while they still name fields.
     function.addPass(createRelaxAtomics());
+    if (fast && !options.shadow && options.skip.has(Skip::UnreadZeros))
+      function.addPass(createStoreFirst());
   });
 
   // On the module, not on each function: loops of different functions, of which

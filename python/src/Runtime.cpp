@@ -328,16 +328,15 @@ void bindTape(py::module_ &module) {
            })
       .def("note_array_copy",
            [](Tape &t, uint64_t address, uint64_t begin, uint64_t end,
-              uint64_t step, uint64_t elementBytes) {
-             taiTapeNoteArrayCopy(t.handle,
-                                  reinterpret_cast<const void *>(address),
-                                  {begin, end, step, elementBytes});
+              uint64_t step, uint64_t bytes) {
+             const auto *at = reinterpret_cast<const void *>(address);
+             taiTapeNoteArrayCopy(t.handle, at, {begin, end, step, bytes});
              settle();
            })
       .def("note_array_write",
            [](Tape &t, uint64_t begin, uint64_t end, uint64_t step,
-              uint64_t elementBytes) {
-             taiTapeNoteArrayWrite(t.handle, {begin, end, step, elementBytes});
+              uint64_t bytes) {
+             taiTapeNoteArrayWrite(t.handle, {begin, end, step, bytes});
              settle();
            })
       .def("want",
@@ -345,10 +344,11 @@ void bindTape(py::module_ &module) {
              std::vector<TaiField> handles;
              for (const Field *field : fields)
                handles.push_back(field->handle);
-             t.context->check(
-                 taiTapeWant(t.handle, handles.data(),
-                             static_cast<int64_t>(handles.size())));
+             auto count = static_cast<int64_t>(handles.size());
+             t.context->check(taiTapeWant(t.handle, handles.data(), count));
            })
+      .def("skip_unchanged",
+           [](Tape &t) { t.context->check(taiTapeSkipUnchanged(t.handle)); })
       .def("add_loss",
            [](Tape &t, const Field &loss) {
              t.context->check(taiTapeAddLoss(t.handle, loss.handle));

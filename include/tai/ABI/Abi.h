@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 10
+#define TAI_ABI_VERSION 11
 
 #ifdef __cplusplus
 extern "C" {
@@ -49,6 +49,10 @@ typedef struct TaiFrame {
   /// The last tick of the safepoint clock that this launch has seen; see
   /// tai_rt_safepoint.
   uint64_t tick;
+  /// Bit n is set if the n-th adjoint field that the kernel can store without
+  /// reading it counts as zero, whatever its memory holds: see
+  /// `tai_rt.starts_at_zero`.
+  uint64_t zeroAdjoints;
 } TaiFrame;
 
 /// The float types of a field and of the private buffers that are added to it:

@@ -44,6 +44,9 @@ struct CompiledObject {
   /// For a kernel that only loops over active cells: pairs of a tree, by its
   /// position in `trees`, and the number of a level in it.
   std::vector<int64_t> loopLevels;
+  /// The adjoint fields that the function can store without reading them
+  /// before, in the order of the bits of TaiFrame::zeroAdjoints.
+  std::vector<std::string> storesFirst;
   /// The code of the kernel's device functions, if it has any.
   std::optional<runtime::DeviceImage> image;
   llvm::SmallVector<char, 0> code;

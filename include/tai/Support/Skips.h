@@ -68,7 +68,8 @@ public:
   static constexpr SkipSet ofCompiler() {
     return SkipSet(bit(Skip::ActivityTests) | bit(Skip::RepeatedLookups) |
                    bit(Skip::InactiveValues) | bit(Skip::UnneededRecords) |
-                   bit(Skip::UntakenBranches) | bit(Skip::ZeroAdjoints));
+                   bit(Skip::UntakenBranches) | bit(Skip::ZeroAdjoints) |
+                   bit(Skip::UnreadZeros));
   }
 
   constexpr SkipSet() = default;

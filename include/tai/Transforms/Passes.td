@@ -657,6 +657,42 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
   let dependentDialects = ["::mlir::LLVM::LLVMDialect"];
 }
 
+def StoreFirst : Pass<"tai-store-first"> {
+  let summary = "start adjoints at zero where the launch says so";
+  let description = [{
+    Finds the adjoint fields of which the first access of a kernel is an
+    addition to each element, made once in a parallel loop over all of the
+    field. The addition starts at zero if `tai_rt.starts_at_zero` is true, so a
+    tape need not clear the field before the launch. The attribute
+    `tai.stores_first` of the kernel lists the fields.
+
+    ```mlir
+    tai.parallel_for (%i) = (%c0) to (%c64) {
+      %old = tai.atomic add %v, @x_grad[%i] exclusive : f32
+    }
+    ```
+
+    becomes
+
+    ```mlir
+    tai.parallel_for (%i) = (%c0) to (%c64) {
+      %known = tai_rt.starts_at_zero 0
+      %old = tai.load @x_grad[%i] : f32
+      %start = arith.select %known, %zero, %old : f32
+      %sum = arith.addf %start, %v : f32
+      tai.store %sum, @x_grad[%i] : f32
+    }
+    ```
+  }];
+  let options = [
+    Option<"minBytes", "min-bytes", "int64_t", /*default=*/"16384",
+           "The least size of a field, in bytes">,
+  ];
+  let dependentDialects = [
+    "::mlir::arith::ArithDialect", "::mlir::LLVM::LLVMDialect",
+    "::mlir::tai::TaiRTDialect"];
+}
+
 def RerollAccumulations : Pass<"tai-reroll-accumulations"> {
   let summary = "reroll unrolled additions into iterations, on a GPU";
   let description = [{

@@ -20,6 +20,7 @@
 #include "tai/Conversion/TaiToHost/Lowering.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
+#include "tai/Dialect/Tai/IR/StoresFirst.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/TargetParser/Triple.h"
@@ -71,6 +72,8 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
                                  /*isInternal=*/false);
   const Modes modes = Modes::of(kernel);
   modes.setOn(function);
+  if (auto fields = kernel->getAttrOfType<ArrayAttr>(kStoresFirst))
+    setStoresFirst(function, fields);
   Block *entry = &function.getBody().front();
   Value frame = entry->getArgument(0);
 

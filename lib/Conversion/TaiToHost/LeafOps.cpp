@@ -27,6 +27,9 @@ struct LeafLowering {
 
   /// Returns the address of a tree, loaded once at the top of the function.
   Value getTree(StringAttr tree, Location loc);
+  /// Returns the bit of an adjoint field in TaiFrame::zeroAdjoints, loaded once
+  /// at the top of the function.
+  Value getStartsAtZero(uint32_t number, Location loc);
 
   LLVM::LLVMFuncOp function;
   Value frame;
@@ -35,6 +38,7 @@ struct LeafLowering {
 
 private:
   llvm::DenseMap<StringAttr, Value> bases;
+  llvm::DenseMap<uint32_t, Value> zeroBits;
 };
 
 /// Lowers one op.
@@ -198,6 +202,22 @@ Value LeafLowering::getTree(StringAttr tree, Location loc) {
   return base;
 }
 
+Value LeafLowering::getStartsAtZero(uint32_t number, Location loc) {
+  Value &bit = zeroBits[number];
+  if (!bit) {
+    auto builder = OpBuilder::atBlockBegin(&function.getBody().front());
+    Value all = runtime.frameMember(builder, loc, frame,
+                                    offsetof(TaiFrame, zeroAdjoints),
+                                    builder.getI64Type());
+    Value own = arith::AndIOp::create(
+        builder, loc, all,
+        runtime.i64(builder, loc, static_cast<int64_t>(uint64_t(1) << number)));
+    bit = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, own,
+                                runtime.i64(builder, loc, 0));
+  }
+  return bit;
+}
+
 using Values = SmallVector<Value>;
 
 static Value isNotZero(OpBuilder &builder, Location loc, Value number,
@@ -268,6 +288,16 @@ struct LowerTreeBase final : LeafPattern<TreeBaseOp> {
                                 PatternRewriter &rewriter) const override {
     rewriter.replaceOp(op,
                        leaf.getTree(op.getTreeAttr().getAttr(), op.getLoc()));
+    return success();
+  }
+};
+
+struct LowerStartsAtZero final : LeafPattern<StartsAtZeroOp> {
+  using LeafPattern::LeafPattern;
+
+  LogicalResult matchAndRewrite(StartsAtZeroOp op,
+                                PatternRewriter &rewriter) const override {
+    rewriter.replaceOp(op, leaf.getStartsAtZero(op.getNumber(), op.getLoc()));
     return success();
   }
 };
@@ -401,12 +431,11 @@ LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
   hoistArrays(function);
   LeafLowering leaf(function, lowering);
   RewritePatternSet patterns(function.getContext());
-  patterns
-      .add<LowerLocal, LowerStack, LowerDraw, LowerAssert, LowerPrint,
-           LowerTreeBase, LowerRank, LowerExchange, LowerCells<ActiveCellsOp>,
-           LowerCells<ListIsCurrentOp>, LowerCells<ActivateCellOp>,
-           LowerCells<DeactivateCellOp>, LowerCells<AppendCellOp>>(
-          function.getContext(), leaf);
+  patterns.add<LowerLocal, LowerStack, LowerDraw, LowerAssert, LowerPrint,
+               LowerTreeBase, LowerStartsAtZero, LowerRank, LowerExchange,
+               LowerCells<ActiveCellsOp>, LowerCells<ListIsCurrentOp>,
+               LowerCells<ActivateCellOp>, LowerCells<DeactivateCellOp>,
+               LowerCells<AppendCellOp>>(function.getContext(), leaf);
   return lowerAll(function, std::move(patterns), [](Operation *op) {
     auto cast = dyn_cast<UnrealizedConversionCastOp>(op);
     return !cast || isDraw(cast);

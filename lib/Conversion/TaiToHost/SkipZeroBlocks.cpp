@@ -50,6 +50,23 @@ static constexpr size_t kMostOps = 4000;
 
 static bool isTestable(Type type) { return type.isF32() || type.isF64(); }
 
+/// The greatest depth of two addresses that are compared.
+static constexpr unsigned kMostDepth = 8;
+
+/// True if two addresses are computed alike, from the same values.
+static bool isSameAddress(Value a, Value b, unsigned depth = 0) {
+  if (a == b)
+    return true;
+  Operation *own = a.getDefiningOp(), *other = b.getDefiningOp();
+  return own && other && depth < kMostDepth && isMemoryEffectFree(own) &&
+         OperationEquivalence::isEquivalentTo(
+             own, other,
+             [&](Value x, Value y) {
+               return success(isSameAddress(x, y, depth + 1));
+             },
+             /*markEquivalent=*/nullptr, OperationEquivalence::IgnoreLocations);
+}
+
 /// True for code without guards that gives the results of the code with guards
 /// in the other arm of a branch.
 static bool isWithoutGuards(Operation *op, Operation *loop) {
@@ -89,10 +106,14 @@ private:
   }
   bool staysZero(Value value);
   bool staysZeroResult(Operation *op, unsigned number);
-  bool isUnchanged(Value value, Value address) const;
+  Value getZeroCondition(Value value);
+  bool isUnchanged(Value value, Value address, Value &condition);
   bool isHarmless(Operation *op);
   void findZeros();
   void collectTests();
+  bool canZeroAlone(LLVM::StoreOp store);
+  void emitZeros(OpBuilder &builder, Location loc, Value begin, Value end);
+  IRMapping cloneFor(OpBuilder &builder, ArrayRef<Value> values, Value iv);
   Value emitTest(OpBuilder &builder, Location loc, Value iv);
   Value emitOuterTest(OpBuilder &builder, Location loc);
 
@@ -104,6 +125,9 @@ private:
   Magnitudes magnitudes;
   SmallVector<LLVM::LoadOp> sources;
   llvm::SetVector<Value> leaves;
+  /// Stores to adjoints that count as zero on a condition: if it is true, a
+  /// block that is skipped must set them to zero.
+  SmallVector<std::pair<LLVM::StoreOp, Value>> zeroed;
 };
 } // namespace
 
@@ -213,35 +237,61 @@ bool ZeroBlocks::staysZero(Value value) {
          isZero(inner.getBody()->getTerminator()->getOperand(number));
 }
 
-/// True if `value` is the number at `address`, with zeros added to it.
-bool ZeroBlocks::isUnchanged(Value value, Value address) const {
+/// Returns the condition under which a number from memory counts as zero, for
+/// `select condition, 0, load`, if it is the same in all iterations.
+Value ZeroBlocks::getZeroCondition(Value value) {
+  auto select = value.getDefiningOp<arith::SelectOp>();
+  return select && isZeroConstant(select.getTrueValue()) &&
+                 select.getFalseValue().getDefiningOp<LLVM::LoadOp>() &&
+                 loop.isDefinedOutsideOfLoop(select.getCondition())
+             ? select.getCondition()
+             : Value();
+}
+
+/// True if `value` is the number at `address`, with zeros added to it. If it
+/// counts as zero on a condition, `condition` is set to it.
+bool ZeroBlocks::isUnchanged(Value value, Value address, Value &condition) {
+  if (Value own = getZeroCondition(value)) {
+    condition = own;
+    value = value.getDefiningOp<arith::SelectOp>().getFalseValue();
+  }
   if (auto load = value.getDefiningOp<LLVM::LoadOp>())
-    return load.getAddr() == address;
+    return isSameAddress(load.getAddr(), address);
   if (auto sum = value.getDefiningOp<arith::AddFOp>()) {
     Value a = sum.getLhs(), b = sum.getRhs();
-    return (isZero(b) && isUnchanged(a, address)) ||
-           (isZero(a) && isUnchanged(b, address));
+    return (isZero(b) && isUnchanged(a, address, condition)) ||
+           (isZero(a) && isUnchanged(b, address, condition));
   }
   auto difference = value.getDefiningOp<arith::SubFOp>();
   return difference && isZero(difference.getRhs()) &&
-         isUnchanged(difference.getLhs(), address);
+         isUnchanged(difference.getLhs(), address, condition);
 }
 
 /// True if all uses of a number from `address` add to it and store it there.
 static bool isOnlyAddedTo(Value value, Value address) {
   return llvm::all_of(value.getUsers(), [&](Operation *user) {
     if (auto store = dyn_cast<LLVM::StoreOp>(user))
-      return store.getAddr() == address;
-    return isa<arith::AddFOp, arith::SubFOp>(user) &&
+      return isSameAddress(store.getAddr(), address);
+    // `select known, 0, value`, of an adjoint that may count as zero.
+    auto select = dyn_cast<arith::SelectOp>(user);
+    bool startsAtZero = select && select.getFalseValue() == value &&
+                        isZeroConstant(select.getTrueValue());
+    return (startsAtZero || isa<arith::AddFOp, arith::SubFOp>(user)) &&
            isOnlyAddedTo(user->getResult(0), address);
   });
 }
 
 /// True if `op` changes no memory where all values in `zeros` are zero.
 bool ZeroBlocks::isHarmless(Operation *op) {
-  if (auto store = dyn_cast<LLVM::StoreOp>(op))
-    return store->hasAttr(kAdjointAccess) && isParallel(op) &&
-           isUnchanged(store.getValue(), store.getAddr());
+  if (auto store = dyn_cast<LLVM::StoreOp>(op)) {
+    Value condition;
+    if (!store->hasAttr(kAdjointAccess) || !isParallel(op) ||
+        !isUnchanged(store.getValue(), store.getAddr(), condition))
+      return false;
+    if (condition)
+      zeroed.push_back({store, condition});
+    return true;
+  }
   if (auto load = dyn_cast<LLVM::LoadOp>(op))
     return !load.getVolatile_();
   if (op->getNumRegions() != 0)
@@ -366,23 +416,57 @@ static Value emitOr(OpBuilder &builder, Location loc, Value a, Value b) {
   return a ? arith::OrIOp::create(builder, loc, a, b).getResult() : b;
 }
 
-/// Emits a test of the leaves that are the same in all iterations; null if
-/// there is none.
+/// True if each iteration makes the store, so that it can be made for a block
+/// that is skipped.
+bool ZeroBlocks::canZeroAlone(LLVM::StoreOp store) {
+  return store->getBlock() == loop.getBody() &&
+         (loop.isDefinedOutsideOfLoop(store.getAddr()) ||
+          isMovable(store.getAddr().getDefiningOp()));
+}
+
+/// Emits a test of the leaves that are the same in all iterations, and of the
+/// conditions under which no block may be skipped; null if there is none.
 Value ZeroBlocks::emitOuterTest(OpBuilder &builder, Location loc) {
   Value any;
   for (Value leaf : leaves)
     if (loop.isDefinedOutsideOfLoop(leaf))
       any = emitOr(builder, loc, any, emitIsHuge(builder, loc, leaf));
+  for (auto [store, condition] : zeroed)
+    if (!canZeroAlone(store))
+      any = emitOr(builder, loc, any, condition);
   return any;
 }
 
-/// Emits a test whether iteration `iv` must run.
-Value ZeroBlocks::emitTest(OpBuilder &builder, Location loc, Value iv) {
-  SmallVector<Value> tested(sources.begin(), sources.end());
-  llvm::append_range(tested, leaves);
+/// Emits stores of zeros for the iterations of a block that is skipped, to
+/// adjoints that count as zero and hold other numbers.
+void ZeroBlocks::emitZeros(OpBuilder &builder, Location loc, Value begin,
+                           Value end) {
+  for (auto [store, condition] : zeroed) {
+    if (!canZeroAlone(store))
+      continue;
+    auto branch = scf::IfOp::create(builder, loc, condition);
+    OpBuilder inside = branch.getThenBodyBuilder();
+    auto zeros = scf::ForOp::create(inside, loc, begin, end, loop.getStep());
+    zeros->setAttrs(loop->getDiscardableAttrDictionary());
+    inside.setInsertionPointToStart(zeros.getBody());
+    IRMapping mapping =
+        cloneFor(inside, {store.getAddr()}, zeros.getInductionVar());
+    auto copy = cast<LLVM::StoreOp>(store->clone());
+    copy.getAddrMutable().assign(mapping.lookupOrDefault(store.getAddr()));
+    Type type = store.getValue().getType();
+    Value zero = arith::ConstantOp::create(inside, loc, type,
+                                           inside.getFloatAttr(type, 0.0));
+    copy.getValueMutable().assign(zero);
+    inside.insert(copy);
+  }
+}
+
+/// Clones the ops of the body that compute the values, for iteration `iv`.
+IRMapping ZeroBlocks::cloneFor(OpBuilder &builder, ArrayRef<Value> values,
+                               Value iv) {
   DenseSet<Operation *> needed;
   SmallVector<Operation *> open;
-  for (Value value : tested)
+  for (Value value : values)
     open.push_back(value.getDefiningOp());
   while (!open.empty()) {
     Operation *op = open.pop_back_val();
@@ -396,6 +480,14 @@ Value ZeroBlocks::emitTest(OpBuilder &builder, Location loc, Value iv) {
   for (Operation &op : *loop.getBody())
     if (needed.contains(&op))
       builder.clone(op, mapping);
+  return mapping;
+}
+
+/// Emits a test whether iteration `iv` must run.
+Value ZeroBlocks::emitTest(OpBuilder &builder, Location loc, Value iv) {
+  SmallVector<Value> tested(sources.begin(), sources.end());
+  llvm::append_range(tested, leaves);
+  IRMapping mapping = cloneFor(builder, tested, iv);
   Value any;
   DenseMap<Type, Value> bits;
   for (LLVM::LoadOp load : sources) {
@@ -475,6 +567,7 @@ void ZeroBlocks::emit(Value counts) {
                                   /*withElseRegion=*/true);
   builder.setInsertionPointToStart(choice.elseBlock());
   advance(builder, loc, counts, 1, begin, end);
+  emitZeros(builder, loc, begin, end);
   builder.setInsertionPointToStart(choice.thenBlock());
   advance(builder, loc, counts, 0, begin, end);
   loop->moveBefore(choice.thenBlock()->getTerminator());

@@ -544,6 +544,7 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   function.trees = std::move(object->trees);
   function.skipped = object->skipped;
   function.loopLevels = std::move(object->loopLevels);
+  function.storesFirst = std::move(object->storesFirst);
   function.warnings = std::move(object->warnings);
   if (object->image) {
     object->image->key = prepared.key;

@@ -18,6 +18,7 @@
 #include "tai/CodeGen/InjectedFailures.h"
 #include "tai/CodeGen/VerifyEach.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/StoresFirst.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/ScopeExit.h"
 #include "llvm/IR/LLVMContext.h"
@@ -326,6 +327,8 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   PhaseTimes &times = prepared.times;
   if (failed(lower(worker, request, prepared, object.trees, failure, nullptr)))
     return std::nullopt;
+  if (Operation *entry = prepared.module->lookupSymbol(object.symbol))
+    object.storesFirst = getStoresFirst(entry);
   // Code that reports an error contains its location: without `places`, the
   // cache would return the code of the same kernel at another line.
   if (prepared.module->lookupSymbol("tai_rt_fail"))

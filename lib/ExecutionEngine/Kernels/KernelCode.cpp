@@ -294,6 +294,7 @@ runtime::KernelInfo KernelCode::getFormInfo(const Compiler::Function &compiled,
   info.argSlots = source.argSlots;
   info.trees = findTrees(compiled.trees);
   info.loopLevels = getLoopLevels(compiled);
+  info.storesFirst = compiled.storesFirst;
   info.image = compiled.image;
   info.provider =
       std::make_shared<FormProvider>(weak_from_this(), goal, forward);

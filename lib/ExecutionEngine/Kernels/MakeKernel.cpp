@@ -5,12 +5,19 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Index/IR/IndexDialect.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Verifier.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/AD/Signature.h"
 #include "tai/Analysis/KernelAccesses.h"
 #include "tai/CodeGen/InjectedFailures.h"
+#include "tai/Dialect/Mesh/IR/Mesh.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/ExecutionEngine/Kernels/KernelCode.h"
 #include "tai/ExecutionEngine/Kernels/Summaries.h"
@@ -156,6 +163,31 @@ static LogicalResult checkAdjoints(ModuleOp module, const ContextModes &modes,
   return failures.fail(collector.take(FailureKind::Usage));
 }
 
+/// True if the kernel does nothing but compute from its arguments and fields:
+/// no random numbers, output or calls, and no fields that other processes
+/// share.
+static bool isRepeatable(ModuleOp module, KernelOp kernel) {
+  for (FieldOp field : module.getOps<FieldOp>()) {
+    FailureOr<FieldLayout> layout = getFieldLayout(field);
+    if (failed(layout) || getSharding(*layout))
+      return false;
+  }
+  return !kernel
+              .walk([&](Operation *op) {
+                bool isKnown =
+                    isPure(op) ||
+                    isa<KernelOp, ParallelForOp, YieldOp, LoadOp, StoreOp,
+                        ReturnOp, AllocaOp, LocalLoadOp, LocalStoreOp,
+                        AssertOp>(op) ||
+                    isa<arith::ArithDialect, math::MathDialect, scf::SCFDialect,
+                        vector::VectorDialect, index::IndexDialect>(
+                        op->getDialect());
+                return isKnown ? WalkResult::advance()
+                               : WalkResult::interrupt();
+              })
+              .wasInterrupted();
+}
+
 FailureOr<MadeKernel> mlir::tai::makeKernel(const KernelServices &services,
                                             OwningOpRef<ModuleOp> module,
                                             StringRef name,
@@ -200,6 +232,7 @@ FailureOr<MadeKernel> mlir::tai::makeKernel(const KernelServices &services,
   info.arrays = findArrays(op);
   info.callerAdjoints = std::move(*adjoints);
   info.summary = summarize(rt, *module, op);
+  info.isRepeatable = isRepeatable(*module, op);
   for (TreeOp tree : module->getOps<TreeOp>())
     source.trees.push_back(rt.store().findTree(tree.getSymName().str()));
   for (FieldOp field : module->getOps<FieldOp>())

@@ -256,6 +256,7 @@ Status FieldCopies::copyOut(const Field &field, void *array) const {
 
 bool FieldCopies::copyIn(Field &field, const void *array,
                          Interrupts interrupts) const {
+  field.countWrite();
   field.oweZeros(nullptr);
   if (field.sparseNode())
     return copyInActive(field, array, interrupts);
@@ -331,6 +332,7 @@ static bool fillEvenly(const Field &field, char *data, const char *scalar,
 
 bool FieldCopies::fill(Field &field, const void *scalarBytes,
                        Interrupts interrupts) const {
+  field.countWrite();
   field.oweZeros(nullptr);
   if (field.sparseNode())
     return fillActive(field, scalarBytes, interrupts);

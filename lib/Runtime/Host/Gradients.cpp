@@ -53,13 +53,25 @@ void Gradients::forgetSettled() {
 }
 
 void Gradients::settle(const Uses &uses) {
+  settleIf([&](const FieldPtr &field) {
+    return !field->isDirtiedByOther() || (uses && uses(field));
+  });
+}
+
+void Gradients::settleForSweep(const Uses &uses) {
+  settleIf([&](const FieldPtr &field) {
+    return !isWaiting(*field) && (!field->isDirtiedByOther() || uses(field));
+  });
+}
+
+void Gradients::settleIf(const Uses &selected) {
   if (!areOwed())
     return;
   std::vector<FieldPtr> settled;
   {
     std::lock_guard<std::mutex> lock(mutex);
     for (const FieldPtr &field : owing)
-      if (!field->isDirtiedByOther() || (uses && uses(field)))
+      if (selected(field))
         settled.push_back(field);
   }
   for (const FieldPtr &field : settled)
@@ -100,6 +112,23 @@ void Gradients::clearTangents() {
   }
 }
 
+bool Gradients::clearLater(const FieldPtr &field, const Recorder *tape) {
+  if (!tape || !field->isStoredFirst() || !skips.has(Skip::UnreadZeros) ||
+      recordings.isForward() || field->tree().mirror() ||
+      field->tree().isExported() || field->isDirtiedByOther())
+    return false;
+  auto zeros = std::make_shared<OwedZeros>();
+  zeros->boxes.push_back(
+      {std::vector<int64_t>(field->shape().size()), field->shape()});
+  field->oweZeros(std::move(zeros));
+  field->markClean();
+  std::lock_guard<std::mutex> lock(mutex);
+  if (std::find(owing.begin(), owing.end(), field) == owing.end())
+    owing.push_back(field);
+  update();
+  return true;
+}
+
 Status Gradients::clear(const Recorder *tape) {
   constexpr auto canStop = FieldCopies::Interrupts::Stop;
   bool forward = recordings.isForward();
@@ -128,6 +157,8 @@ Status Gradients::clear(const Recorder *tape) {
       counters.bump(SkipCount::BytesNotCleared, bytes);
       continue;
     }
+    if (isDirty && clearLater(field, tape))
+      continue;
     if (!copies.clear(*field, canStop))
       return failAsInterrupted();
     cleared = field.get();

@@ -73,6 +73,16 @@ void Recordings::setKnownPlan(std::shared_ptr<const KnownPlan> plan) {
   lastPlan.swap(plan);
 }
 
+std::shared_ptr<KnownRuns> Recordings::knownRuns() const {
+  std::lock_guard<std::mutex> lock(tapesMutex);
+  return runs;
+}
+
+void Recordings::setKnownRuns(std::shared_ptr<KnownRuns> made) {
+  std::lock_guard<std::mutex> lock(tapesMutex);
+  runs.swap(made);
+}
+
 void Recordings::add(Recorder &tape) {
   std::lock_guard<std::mutex> lock(tapesMutex);
   tapes.push_back(&tape);

@@ -32,7 +32,7 @@
 
 using namespace mlir::tai::runtime;
 
-static_assert(sizeof(TaiFrame) == 56, "compiled code reads frames by position");
+static_assert(sizeof(TaiFrame) == 64, "compiled code reads frames by position");
 
 //===----------------------------------------------------------------------===//
 // Parallel loops

@@ -94,6 +94,17 @@ void Launcher::settleZeros(const Kernel &kernel, const uint64_t *args) {
     parts.gradients.forgetSettled();
 }
 
+void Launcher::countWrites() {
+  if (!countsWrites.exchange(true))
+    parts.state.beginSpecial();
+}
+
+void Launcher::countWrites(const Kernel &kernel) {
+  for (const Access &access : kernel.summary())
+    if (access.kind != AccessKind::Read)
+      access.field->countWrite();
+}
+
 Status Launcher::checkHolds(const Kernel &kernel) const {
   Status status;
   for (const Access &access : kernel.summary()) {
@@ -146,6 +157,8 @@ Status Launcher::runTangent(Launch &launch, Kernel &kernel,
   if (tangentFlows)
     tangentFlows->launch(kernel, args);
   takeOverTangents(kernel);
+  if (countsWrites.load(std::memory_order_relaxed))
+    countWrites(kernel);
   if (tangent == &kernel)
     return runCode(launch, kernel, args, results, number);
   if (!kernel.bound.sparseNodes.empty() && !launch.given)
@@ -215,6 +228,8 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
   }
   if (kernel.bound.usesAdjoints && parts.gradients.areOwed())
     settleZeros(kernel, args);
+  if (__builtin_expect(countsWrites.load(std::memory_order_relaxed), false))
+    countWrites(kernel);
   launch.trees = kernel.bound.bases.data();
   launch.loopTimes = &kernel.loopTimes;
   if (__builtin_expect(parts.devices.isThere(), false)) {
@@ -443,6 +458,10 @@ Status Launcher::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
   // may have no summary of its own.
   for (Field *field : kernel.bound.adjointTargets)
     field->adjoint()->markDirty();
+  // An adjoint that was written by hand may change any field.
+  if (__builtin_expect(countsWrites.load(std::memory_order_relaxed), false) &&
+      !kernel.adjoint().canZero())
+    noteUnknownWrites();
   launch.given = given;
   launch.primalName = &kernel.name();
   if (!kernel.bound.sparseNodes.empty() &&

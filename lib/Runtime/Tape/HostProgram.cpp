@@ -48,6 +48,7 @@ Status mlir::tai::runtime::runHost(Runtime &runtime, TaiKernelFn function,
                                    HostModule &module, const uint64_t *args,
                                    uint64_t *results) {
   runtime.settleZeros(fieldsIn(trees));
+  runtime.launcher().noteUnknownWrites();
   std::vector<void *> bases;
   for (const TreePtr &tree : trees) {
     if (!tree->base())

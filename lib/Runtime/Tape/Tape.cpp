@@ -138,6 +138,8 @@ Status Tape::replay(bool forward, bool reverse) {
     return Status::failure(StatusCode::Usage,
                            "a tape cannot be replayed while one is being "
                            "recorded");
+  // A replay calls kernels without counting what they write.
+  runtime.launcher().noteUnknownWrites();
   ReleasedAtEnd releasing(*this);
   return unlessSpoilt([&] {
     Status status = parts->holds.hold();
@@ -200,7 +202,7 @@ Status Tape::sweep() {
   tape.health.clear();
   std::vector<std::string> &notes = tape.report.notes;
   notes.clear();
-  tape.services.owner().settleZeros(
+  tape.services.owner().gradients().settleForSweep(
       [this](const FieldPtr &field) { return uses(field); });
   bool lostStored = false;
   Status status = tape.topology.check();
@@ -229,6 +231,10 @@ Status Tape::sweep() {
     // before the exception goes on.
     isOutOfMemory = true;
   }
+  tape.first.end(isOutOfMemory || !status);
+  // Fields may hold numbers that a failed sweep has put there.
+  if (isOutOfMemory || !status)
+    tape.services.owner().launcher().noteUnknownWrites();
   tape.report.noteZeroAdjoints(
       counters.get(SkipCount::FlaggedVisited) - visited,
       counters.get(SkipCount::FlaggedSkipped) - skipped);
@@ -280,6 +286,8 @@ Status Tape::runPlan() {
   bool decides = tape.recording.callsInReverse();
   if (decides || tape.rematerialiser.isOn() || !planHolds())
     plan();
+  tape.first.begin(!decides && !tape.rematerialiser.isOn() &&
+                   !tape.health.isWatching() && !tape.services.isForward());
   if (tape.rematerialiser.isOn())
     return tape.rematerialiser.sweep();
   HeldLaunch launch(tape.services);
@@ -291,7 +299,7 @@ Status Tape::runPlan() {
                       numRecords() - unwanted -
                           static_cast<int64_t>(tape.plan.replayed().size()));
   if (tape.isDirect() && tape.direct.findReverse(tape.plan, tape.forms))
-    return tape.direct.runReverse(launch.get(), tape.plan);
+    return tape.direct.runReverse(launch.get(), tape.plan, tape.first);
   return tape.reverse.runPlanned(launch.get());
 }
 
@@ -367,15 +375,18 @@ const std::string &Tape::explain() {
     plan();
   tape.report.begin();
   for (size_t i = 0; i < tape.recording.size(); ++i)
-    tape.report.addRecord(tape.recording, tape.plan, tape.forms, i,
-                          tape.memory.bytesAt(static_cast<uint32_t>(i)),
-                          tape.rematerialiser.countAt(i));
+    tape.report.addRecord(
+        tape.recording, tape.plan, tape.forms, i,
+        tape.memory.bytesAt(static_cast<uint32_t>(i)),
+        tape.rematerialiser.countAt(i),
+        std::binary_search(tape.notRun.begin(), tape.notRun.end(), i));
   if (tape.isDirect() && tape.direct.findForward())
     tape.report.addDirect(tape.recording.size(), "launches");
   if (planHolds(/*cleared=*/true) && tape.isDirect() &&
       tape.direct.findReverse(tape.plan, tape.forms))
     tape.report.addDirect(tape.plan.replayed().size(), "adjoints");
   tape.report.addZeroAdjoints();
+  tape.report.addFirstStores(tape.first.names(), tape.first.bytes());
   // Reports the ways in which a device runs the sequences of launches.
   if (const DeviceQueue *queue = tape.services.owner().devices().queue())
     tape.report.add(queue->explain());

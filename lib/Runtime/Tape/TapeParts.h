@@ -9,6 +9,7 @@
 #define TAI_LIB_RUNTIME_TAPE_TAPEPARTS_H
 
 #include "Record/KnownKernels.h"
+#include "Record/KnownRuns.h"
 #include "Record/LostGradients.h"
 #include "Replay/ChangeWatch.h"
 #include "Replay/DirectReplay.h"
@@ -26,8 +27,9 @@ struct Tape::Parts {
   Parts(Runtime &runtime, Tape &tape, bool clears)
       : services(runtime), holds(services, tape, clears), memory(runtime),
         topology(runtime), seeds(services), changes(services),
-        forms(services, recording, plan, memory), direct(services, recording),
-        reverse(services, tape, recording, plan, forms, memory, topology,
+        forms(services, recording, plan, memory),
+        first(services, recording, plan, forms), direct(services, recording),
+        reverse(services, tape, recording, plan, forms, memory, topology, first,
                 health),
         rematerialiser(services, recording, plan, memory, topology, reverse) {
     reverse.liveFields = [this] { return seeds.liveFields(false, holds); };
@@ -48,6 +50,10 @@ struct Tape::Parts {
   TapeHolds holds;
   TapeRecording recording;
   KnownKernels known;
+  /// Of an incremental tape: the launches that need not run again, and the
+  /// records that did not run. Otherwise null.
+  std::shared_ptr<KnownRuns> runs;
+  std::vector<uint32_t> notRun;
   TapeMemory memory;
   TapeTopology topology;
   std::unique_ptr<AccessChecks> checks;
@@ -58,6 +64,7 @@ struct Tape::Parts {
   ChangeWatch changes;
   TapePlan plan;
   AdjointForms forms;
+  FirstStores first;
   AdjointHealth health;
   LostGradients lost;
   DirectReplay direct;

@@ -176,7 +176,8 @@ static std::string explainDecision(Decision decision, const Kernel *kernel,
 
 void TapeReport::addRecord(const TapeRecording &recording, const TapePlan &plan,
                            const AdjointForms &forms, size_t index,
-                           int64_t savedBytes, uint32_t timesRecomputed) {
+                           int64_t savedBytes, uint32_t timesRecomputed,
+                           bool isUnchanged) {
   const TapeRecording::Record &record = recording[index];
   std::string reader;
   if (plan[index] == Decision::Replay)
@@ -189,6 +190,10 @@ void TapeReport::addRecord(const TapeRecording &recording, const TapePlan &plan,
     text += "; saved " + formatBytes(savedBytes);
   if (timesRecomputed)
     text += "; recomputed " + std::to_string(timesRecomputed) + " times";
+  if (isUnchanged)
+    text +=
+        "; did not run: its fields hold its results, since none of them has "
+        "been written";
   text += '\n';
 }
 
@@ -204,6 +209,16 @@ void TapeReport::addZeroAdjoints() {
             " iterations of loops that look for adjoints, the last sweep "
             "skipped " +
             std::to_string(skipped) + " because their adjoints are zero\n";
+}
+
+void TapeReport::addFirstStores(const std::vector<std::string> &fields,
+                                int64_t bytes) {
+  if (fields.empty())
+    return;
+  text += "not cleared, since the last sweep stored them before it read them: ";
+  for (const std::string &field : fields)
+    text += (&field == &fields.front() ? "@" : ", @") + field;
+  text += " (" + formatBytes(bytes) + ")\n";
 }
 
 void TapeReport::checkEffect(const TapeRecording &recording,

@@ -21,7 +21,7 @@ public:
   /// Adds a line with the decision on a record, and its reason.
   void addRecord(const TapeRecording &recording, const TapePlan &plan,
                  const AdjointForms &forms, size_t index, int64_t savedBytes,
-                 uint32_t timesRecomputed);
+                 uint32_t timesRecomputed, bool isUnchanged);
   /// Adds a line to the text that says how many functions a replay calls
   /// directly.
   void addDirect(size_t count, const char *what);
@@ -33,6 +33,9 @@ public:
   }
   /// Adds a line with these numbers, if there are any.
   void addZeroAdjoints();
+  /// Adds a line with the gradients that the last sweep did not clear, if there
+  /// are any.
+  void addFirstStores(const std::vector<std::string> &fields, int64_t bytes);
   const std::string &get() const { return text; }
 
   /// Adds a warning if a sweep with losses had nothing to do.

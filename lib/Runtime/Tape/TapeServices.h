@@ -149,6 +149,12 @@ public:
   void setKnownPlan(std::shared_ptr<const KnownPlan> plan) const {
     runtime.recordings().setKnownPlan(std::move(plan));
   }
+  std::shared_ptr<KnownRuns> knownRuns() const {
+    return runtime.recordings().knownRuns();
+  }
+  void setKnownRuns(std::shared_ptr<KnownRuns> runs) const {
+    runtime.recordings().setKnownRuns(std::move(runs));
+  }
   /// isNewSequence: true at the first call for a sequence, which is then
   /// checked for lost gradients. isNewCut: true at the first call for a place
   /// where gradients are lost.

@@ -97,3 +97,11 @@ func.func @host(%x: f32) attributes {passthrough = ["tai.lowered"]} {
   %0 = func.call @helper(%x) : (f32) -> f32
   return
 }
+
+// -----
+
+tai.kernel @bit() -> i1 {
+  // expected-error @+1 {{attribute 'number' failed to satisfy constraint: 32-bit signless integer attribute whose value is non-negative whose maximum value is 63}}
+  %0 = tai_rt.starts_at_zero 64
+  tai.return %0 : i1
+}

@@ -60,6 +60,21 @@ tai.kernel @tree() -> f32 {
   tai.return %1 : f32
 }
 
+// The bits of adjoints that count as zero are read from the frame, in the function
+// of the kernel and in that of its loop; the list travels to the function.
+// CHECK-LABEL: llvm.func @stored_first(
+//  CHECK-SAME:     %[[FRAME:.+]]: !llvm.ptr)
+//  CHECK-SAME:     ["tai.stores_first", "a_grad,b_grad"]
+//       CHECK:   %[[AT:.+]] = llvm.getelementptr inbounds %[[FRAME]][56]
+//       CHECK:   %[[BITS:.+]] = llvm.load %[[AT]] invariant : !llvm.ptr -> i64
+//       CHECK:   %[[TWO:.+]] = arith.constant 2 : i64
+//       CHECK:   %[[BIT:.+]] = arith.andi %[[BITS]], %[[TWO]]
+//       CHECK:   arith.cmpi ne, %[[BIT]]
+tai.kernel @stored_first() -> i1 attributes {tai.stores_first = ["a_grad", "b_grad"]} {
+  %0 = tai_rt.starts_at_zero 1
+  tai.return %0 : i1
+}
+
 // One dimension: the partition is a range of the index. Values from outside of
 // the body travel in the closure; constants are copied.
 // CHECK-LABEL: llvm.func @range(

@@ -171,3 +171,50 @@ llvm.func @scatters(%frame: !llvm.ptr) attributes {passthrough = ["tai.lowered"]
   }
   llvm.return
 }
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
+#loop = #llvm.loop_annotation<parallelAccesses = #group>
+
+// An adjoint that counts as zero, whatever its memory holds, is set to zero for the
+// iterations of a block that is skipped. The address may be computed twice.
+// CHECK-LABEL: llvm.func @starts_at_zero(
+//       CHECK:   %[[KNOWN:.+]] = arith.cmpi ne
+//       CHECK:   scf.for %[[B:.+]] =
+//       CHECK:     scf.if %{{.+}} {
+//       CHECK:       math.cos
+//       CHECK:     } else {
+//       CHECK:       scf.if %[[KNOWN]] {
+//       CHECK:         scf.for %[[I:.+]] = %[[B]] to
+//       CHECK:           %[[K:.+]] = arith.index_cast %[[I]]
+//       CHECK:           %[[AT:.+]] = llvm.getelementptr %{{.+}}[%[[K]]]
+//       CHECK:           %[[ZERO:.+]] = arith.constant 0.000000e+00 : f32
+//       CHECK:           llvm.store %[[ZERO]], %[[AT]]
+llvm.func @starts_at_zero(%frame: !llvm.ptr) attributes {passthrough = ["tai.lowered"]} {
+  %c1 = arith.constant 1 : index
+  %lo = arith.constant 0 : index
+  %hi = arith.constant 1000 : index
+  %none = arith.constant 0 : i64
+  %zero = arith.constant 0.0 : f32
+  %x, %gx, %gy = builtin.unrealized_conversion_cast %frame : !llvm.ptr to !llvm.ptr, !llvm.ptr, !llvm.ptr
+  %bits = llvm.load %frame : !llvm.ptr -> i64
+  %known = arith.cmpi ne, %bits, %none : i64
+  scf.for %i = %lo to %hi step %c1 {
+    %k = arith.index_cast %i : index to i64
+    %px = llvm.getelementptr %x[%k] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+    %v = llvm.load %px {access_groups = [#group]} : !llvm.ptr -> f32
+    %c = math.cos %v : f32
+    %py = llvm.getelementptr %gy[%k] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+    %g = llvm.load %py {access_groups = [#group], tai.adjoint_access} : !llvm.ptr -> f32
+    %a = arith.mulf %g, %c : f32
+    %pg = llvm.getelementptr %gx[%k] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+    %old = llvm.load %pg {access_groups = [#group], tai.adjoint_access} : !llvm.ptr -> f32
+    %start = arith.select %known, %zero, %old : f32
+    %sum = arith.addf %start, %a : f32
+    %again = arith.index_cast %i : index to i64
+    %same = llvm.getelementptr %gx[%again] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+    llvm.store %sum, %same {access_groups = [#group], tai.adjoint_access} : f32, !llvm.ptr
+  } {llvm.loop_annotation = #loop}
+  llvm.return
+}

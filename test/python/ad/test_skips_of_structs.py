@@ -15,7 +15,8 @@ NAMES = list(ti.profiler.skips())
 # Skips of the runtime and of sparse levels: they change no code of these programs.
 WITHOUT_CODE = (
     "unchanged-lists activity-tests repeated-lookups empty-loops unlaunched-kernels "
-    "untouched-memory dead-launches unwanted-gradients clean-gradients zero-adjoints"
+    "untouched-memory dead-launches unwanted-gradients clean-gradients zero-adjoints "
+    "unread-zeros unchanged-launches"
 ).split()
 # One thread of a CPU adds in order; the threads of a GPU do so in deterministic mode.
 MODES = {

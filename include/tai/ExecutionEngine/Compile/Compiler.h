@@ -157,6 +157,7 @@ public:
     /// As in CompiledObject.
     SkipAmounts skipped{};
     std::vector<int64_t> loopLevels;
+    std::vector<std::string> storesFirst;
     std::vector<Warning> warnings;
     /// The code of the device functions that the function launches, if any.
     std::shared_ptr<const runtime::DeviceImage> image;

@@ -49,6 +49,13 @@ public:
   /// `uses` is true, because the caller is about to use them.
   using Uses = std::function<bool(const FieldPtr &)>;
   void settle(const Uses &uses = nullptr);
+  /// Stores them as settle(uses) does at the start of a sweep, but not those of
+  /// fields whose clearing waits for the sweep (isWaiting).
+  void settleForSweep(const Uses &uses);
+  /// True if the field has been cleared, and owes all of its zeros.
+  static bool isWaiting(const Field &field) {
+    return field.owesZeros() && field.dirtiedBy() == 0;
+  }
   /// Removes from `owing` the fields whose deferred zeros have been stored; to
   /// be called after zeros of single fields have been stored.
   void forgetSettled();
@@ -58,6 +65,10 @@ private:
   /// Updates the flag `owesAny`. Must be called after each change of `owing`,
   /// the list of fields with deferred zeros.
   void update();
+  void settleIf(const Uses &selected);
+  /// Clears a field by owing all of its zeros, if the sweep of the tape will
+  /// probably store the field before it reads it. False if it must be cleared.
+  bool clearLater(const FieldPtr &field, const Recorder *tape);
 
   const TreeStore &store;
   const Recordings &recordings;

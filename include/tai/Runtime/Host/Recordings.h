@@ -22,6 +22,7 @@
 namespace mlir::tai::runtime {
 
 class KnownPlan;
+class KnownRuns;
 
 class Recordings {
 public:
@@ -122,6 +123,11 @@ public:
   std::shared_ptr<const KnownPlan> knownPlan() const;
   void setKnownPlan(std::shared_ptr<const KnownPlan> plan);
 
+  /// The launches of incremental tapes, of the last tape that used them; null
+  /// before the first one.
+  std::shared_ptr<KnownRuns> knownRuns() const;
+  void setKnownRuns(std::shared_ptr<KnownRuns> runs);
+
   /// sequencesSeen: hashes of the kernel sequences that have been checked for
   /// lost gradients. cutsSaid: the warnings about lost gradients already given.
   std::unordered_set<size_t> sequencesSeen;
@@ -160,6 +166,7 @@ private:
   std::vector<Recorder *> tapes;
   mutable std::mutex tapesMutex;
   std::shared_ptr<const KnownPlan> lastPlan; // guarded by tapesMutex
+  std::shared_ptr<KnownRuns> runs;           // guarded by tapesMutex
   std::atomic<size_t> numTapes{0};
   Recorder *sweeper = nullptr;
   std::atomic<const void *> sweepThread{nullptr};

@@ -148,8 +148,14 @@ struct KernelInfo {
   /// False if the adjoint kernel would do nothing; the tape then skips the
   /// kernel.
   bool differentiable = true;
+  /// True if the kernel only reads and writes the fields of its summary, so
+  /// that a launch with the same arguments and the same values changes nothing.
+  bool isRepeatable = false;
   /// For a kernel that only loops over active cells: the levels of its loops.
   std::vector<LoopLevel> loopLevels;
+  /// For an adjoint kernel: the adjoint fields that it can store without
+  /// reading them before, in the order of the bits of TaiFrame::zeroAdjoints.
+  std::vector<std::string> storesFirst = {};
   /// The kernel's code for the runtime's device; null if the function runs on
   /// the CPU alone.
   std::shared_ptr<const DeviceImage> image;
@@ -201,6 +207,10 @@ public:
   const CallerAdjoints &callerAdjoints() const { return info.callerAdjoints; }
   const std::vector<Access> &summary() const { return info.summary; }
   bool differentiable() const { return info.differentiable; }
+  bool isRepeatable() const { return info.isRepeatable; }
+  const std::vector<std::string> &storesFirst() const {
+    return info.storesFirst;
+  }
   const std::vector<TreePtr> &trees() const { return info.trees; }
 
   /// Compiles the kernel now instead of at the first launch. Thread-safe.

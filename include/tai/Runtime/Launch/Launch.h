@@ -71,6 +71,7 @@ struct Launch : TaiFrame {
     seed = 0;
     launch = 0;
     tick = 0;
+    zeroAdjoints = 0;
   }
 
   Runtime &owner() const { return *static_cast<Runtime *>(runtime); }

@@ -81,6 +81,17 @@ public:
   std::atomic<uint64_t> &numbers() { return hot.launches; }
   const std::atomic<uint64_t> &numbers() const { return hot.launches; }
 
+  /// Counts the writes of all launches from now on in the fields that they
+  /// change (Field::numWrites). unknownWrites: a number that changes when a
+  /// field may have been written by something that does not count.
+  void countWrites();
+  uint64_t unknownWrites() const {
+    return numUnknown.load(std::memory_order_relaxed);
+  }
+  void noteUnknownWrites() {
+    numUnknown.fetch_add(1, std::memory_order_relaxed);
+  }
+
   /// Tracks the flow of tangents of these fields until forgetTangents().
   /// lostTangents describes where tangents ended on the way to `outputs`, a
   /// line for each place that has not been reported yet.
@@ -135,6 +146,7 @@ private:
                     uint64_t *results, uint64_t number);
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
   void settleZeros(const Kernel &kernel, const uint64_t *args);
+  static void countWrites(const Kernel &kernel);
   void takeOverTangents(const Kernel &kernel);
   /// Fail if the kernel (or its adjoint) accesses a field that the tape of
   /// another thread holds in a conflicting way.
@@ -163,6 +175,8 @@ private:
   DeviceLaunches deviceLaunches;
   KernelList kernelList;
   bool fusesLaunches = true;
+  std::atomic<bool> countsWrites{false};
+  std::atomic<uint64_t> numUnknown{0};
   std::unique_ptr<TangentFlows> tangentFlows;
 
   std::atomic<Launch *> spareLaunch{nullptr};

@@ -96,7 +96,15 @@ public:
   /// count of exports.
   const std::shared_ptr<void> &sharedMemory() const { return memory; }
   const std::shared_ptr<Mirror> &sharedMirror() const { return mirrored; }
-  void countExport(int by) { exports.fetch_add(by, std::memory_order_relaxed); }
+  void countExport(int by) {
+    exports.fetch_add(by, std::memory_order_relaxed);
+    if (by > 0)
+      noteLent();
+  }
+  /// True if something outside of the runtime has ever had an address in the
+  /// tree: the versions of its fields then say nothing.
+  bool wasLent() const { return lent.load(std::memory_order_relaxed); }
+  void noteLent() const { lent.store(true, std::memory_order_relaxed); }
   /// The tree with this base address.
   static Tree &of(void *base) { return *static_cast<Tree **>(base)[-1]; }
 
@@ -113,6 +121,7 @@ private:
   /// Owner of the tree's memory; exported buffers share the ownership.
   std::shared_ptr<void> memory;
   std::atomic<int> exports{0};
+  mutable std::atomic<bool> lent{false};
   /// Set while the runtime checks whether the tree can be destroyed: new
   /// launches must not use the tree then.
   std::atomic<bool> isClosing{false};
@@ -269,9 +278,26 @@ public:
     uint64_t writer = dirtiedBy();
     return writer != 0 && writer != threadNumber();
   }
+  /// For an adjoint field: true if the last reverse sweep stored all elements
+  /// before it read any. If the field is clean as well, its memory may hold old
+  /// numbers until the next sweep: then it owes all zeros.
+  bool isStoredFirst() const {
+    return lastSweep.load(std::memory_order_relaxed) == LastSweep::StoredFirst;
+  }
+  void setStoredFirst(bool on) {
+    lastSweep.store(on ? LastSweep::StoredFirst : LastSweep::Other,
+                    std::memory_order_relaxed);
+  }
   /// The number of changes that the host has made to the field.
   uint64_t version() const { return hostVersion; }
-  void countChange() { ++hostVersion; }
+  void countChange() {
+    ++hostVersion;
+    countWrite();
+  }
+  /// The number of writes to the field, by the host or by launches; those of
+  /// launches count only if Launcher::countWrites() has been called before.
+  uint64_t numWrites() const { return writes.load(std::memory_order_relaxed); }
+  void countWrite() const { writes.fetch_add(1, std::memory_order_relaxed); }
   /// The tapes that use the field at present.
   FieldHolds holds;
 
@@ -313,6 +339,7 @@ public:
     return Status::success();
   }
   Status storeBytes(int64_t offset, const void *from) const {
+    countWrite();
     settleZeros();
     if (__builtin_expect(owner->mirror() != nullptr, false))
       return storeMirrored(offset, from);
@@ -340,11 +367,15 @@ private:
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<uint64_t> lastWriter{0};
+  /// How the last reverse sweep that used an adjoint field began with it.
+  enum class LastSweep : uint8_t { Other, StoredFirst };
+  std::atomic<LastSweep> lastSweep{LastSweep::Other};
   /// The zeros of the field that are not stored yet, guarded by one mutex for
   /// all fields; and a flag that tells whether there are any.
   mutable std::shared_ptr<const OwedZeros> owed;
   mutable std::atomic<bool> owes{false};
   uint64_t hostVersion = 0;
+  mutable std::atomic<uint64_t> writes{0};
 };
 using FieldPtr = std::shared_ptr<Field>;
 

@@ -88,6 +88,12 @@ public:
   /// is recorded.
   Status want(const std::vector<FieldPtr> &fields);
 
+  /// Makes the tape incremental: a launch is recorded, and not run, if an
+  /// earlier incremental tape has run it, and the fields that it reads and
+  /// writes have not been written since. Call before anything is recorded. A
+  /// tape with a checkpoint policy runs all launches.
+  Status skipUnchanged();
+
   /// Sets the checkpoint policy of the tape. Must be called before anything is
   /// recorded.
   Status setCheckpoints(CheckpointPolicy policy);
@@ -184,6 +190,8 @@ private:
                 uint64_t *results, uint64_t number);
   Status recordWrite(const HostWrite &write);
   Status recordActivity(const TreePtr &tree, std::function<Status()> change);
+  Status runIfChanged(Launch &launch, Kernel &kernel, const uint64_t *args,
+                      uint64_t *results, uint64_t number);
   Status launchOne(Launch &launch, Kernel &kernel, const void *known,
                    const uint64_t *args, uint64_t *results, uint64_t number);
   void plan(bool cleared = false);

@@ -72,6 +72,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.ordered_scope", Kind::Any},
     {"tai.rerun_read", Kind::Integer},
     {"tai.site", Kind::Integer},
+    {"tai.stores_first", Kind::List},
     {"tai.sum_target", Kind::Integer},
 };
 

@@ -137,6 +137,41 @@ Status Tape::setCheckpoints(CheckpointPolicy policy) {
   return parts->rematerialiser.setPolicy(policy);
 }
 
+Status Tape::skipUnchanged() {
+  if (!parts->recording.empty() || !recording())
+    return Status::failure(StatusCode::Usage,
+                           "whether a tape is incremental is decided before it "
+                           "records");
+  const TapeServices &services = parts->services;
+  services.owner().launcher().countWrites();
+  parts->runs = services.knownRuns();
+  if (!parts->runs) {
+    parts->runs = std::make_shared<KnownRuns>(services);
+    services.setKnownRuns(parts->runs);
+  }
+  return Status::success();
+}
+
+/// Runs a launch of an incremental tape, unless its results are there already.
+Status Tape::runIfChanged(Launch &launch, Kernel &kernel, const uint64_t *args,
+                          uint64_t *results, uint64_t number) {
+  const TapeServices &services = parts->services;
+  bool maySkip = services.skips(Skip::UnchangedLaunches) &&
+                 !parts->rematerialiser.isOn() && !services.isForward() &&
+                 !services.recordsTogether();
+  if (maySkip && parts->runs->holds(kernel, args)) {
+    launch.loops.clear();
+    parts->notRun.push_back(parts->recording.next());
+    services.count(SkipCount::UnchangedSkipped);
+    return Status::success();
+  }
+  services.count(SkipCount::UnchangedRun);
+  Status status = services.run(launch, kernel, args, results, number);
+  if (status && maySkip)
+    parts->runs->note(kernel, args);
+  return status;
+}
+
 void Tape::checkAccesses(int64_t limit, bool racesOnly) {
   parts->checks =
       std::make_unique<AccessChecks>(parts->services.owner(), limit, racesOnly);
@@ -218,6 +253,8 @@ inline Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
   if (status)
     status = __builtin_expect(tape.checks && !isPart, false)
                  ? tape.checks->run(launch, kernel, args, results, number)
+             : __builtin_expect(tape.runs && !isPart, false)
+                 ? runIfChanged(launch, kernel, args, results, number)
                  : tape.services.run(launch, kernel, args, results, number);
   if (__builtin_expect(!status.ok(), false)) {
     // The saved copies of a failed launch are kept, so that reversing the next

@@ -80,14 +80,17 @@ Status DirectReplay::runForward(Launch &launch) const {
   return Status::success();
 }
 
-Status DirectReplay::runReverse(Launch &launch, const TapePlan &plan) const {
+Status DirectReplay::runReverse(Launch &launch, const TapePlan &plan,
+                                FirstStores &first) const {
   for (Field *field : targets)
     field->markDirty();
   launch.results = nullptr;
   launch.seed = services.seed();
   const std::vector<uint32_t> &replayed = plan.replayed();
   for (size_t i = 0; i < replayed.size(); ++i) {
+    launch.zeroAdjoints = first.enter(replayed[i]);
     Status status = call(launch, *adjoints[i], replayed[i]);
+    launch.zeroAdjoints = 0;
     if (!status)
       return status;
   }

@@ -20,7 +20,7 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_REPLAY_DIRECTREPLAY_H
 #define TAI_LIB_RUNTIME_TAPE_REPLAY_DIRECTREPLAY_H
 
-#include "../Sweep/AdjointForms.h"
+#include "../Sweep/FirstStores.h"
 
 namespace mlir::tai::runtime {
 
@@ -39,7 +39,8 @@ public:
   /// Run the recorded sequence forward or in reverse. Must be called only after
   /// findForward or findReverse, respectively, has returned true.
   Status runForward(Launch &launch) const;
-  Status runReverse(Launch &launch, const TapePlan &plan) const;
+  Status runReverse(Launch &launch, const TapePlan &plan,
+                    FirstStores &first) const;
 
 private:
   Status call(Launch &launch, Kernel &kernel, size_t index) const;

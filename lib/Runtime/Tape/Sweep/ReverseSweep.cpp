@@ -48,6 +48,12 @@ Status ReverseSweep::reverse(Launch &launch, size_t index) {
 }
 
 Status ReverseSweep::replay(Launch &launch, size_t index) {
+  Status status = replayRecord(launch, index);
+  first.leave(static_cast<uint32_t>(index));
+  return status;
+}
+
+Status ReverseSweep::replayRecord(Launch &launch, size_t index) {
   const TapeRecording::Record &record = recording[index];
   topology.enter(static_cast<uint32_t>(index));
   if (record.kind == Kind::Write)
@@ -89,8 +95,10 @@ Status ReverseSweep::runAdjoint(Launch &launch, size_t index) {
   services.count(SkipCount::TapeReplayed);
   static const LoopLists none;
   const LoopLists *loops = topology.loopsAt(static_cast<uint32_t>(index));
+  launch.zeroAdjoints = first.enter(static_cast<uint32_t>(index));
   status = services.runAdjoint(launch, kernel, *adjoint, args,
                                recording.number(record), loops ? loops : &none);
+  launch.zeroAdjoints = 0;
   if (__builtin_expect(health.isWatching(), false) && status)
     health.examine(recording, index);
   return status;

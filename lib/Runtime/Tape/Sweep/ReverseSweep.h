@@ -17,6 +17,7 @@
 #include "../Memory/TapeTopology.h"
 #include "AdjointForms.h"
 #include "AdjointHealth.h"
+#include "FirstStores.h"
 
 namespace mlir::tai::runtime {
 
@@ -25,9 +26,11 @@ public:
   ReverseSweep(TapeServices services, Tape &tape,
                const TapeRecording &recording, TapePlan &plan,
                const AdjointForms &forms, TapeMemory &memory,
-               TapeTopology &topology, AdjointHealth &health)
+               TapeTopology &topology, FirstStores &first,
+               AdjointHealth &health)
       : services(services), tape(tape), recording(recording), plan(plan),
-        forms(forms), memory(memory), topology(topology), health(health) {}
+        forms(forms), memory(memory), topology(topology), first(first),
+        health(health) {}
 
   /// Reverses the records that the plan selects; for sequences in which no host
   /// function has a reverse.
@@ -50,6 +53,7 @@ private:
   /// Runs the adjoint of a record and zeroes the adjoints of overwritten
   /// elements.
   Status replay(Launch &launch, size_t index);
+  Status replayRecord(Launch &launch, size_t index);
   Status runAdjoint(Launch &launch, size_t index);
   Status callHost(size_t index);
   /// Zeroes the adjoints of elements that the host has written during the
@@ -67,6 +71,7 @@ private:
   const AdjointForms &forms;
   TapeMemory &memory;
   TapeTopology &topology;
+  FirstStores &first;
   AdjointHealth &health;
   /// The number of the host function whose reverse is running.
   size_t hostFunction = 0;

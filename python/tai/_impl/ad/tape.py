@@ -117,6 +117,10 @@ class Tape(native.WithBlock):
             lead to none of these gradients do not run in reverse. After the sweep the
             gradients of all other fields that the tape uses are zero, except those of losses;
             arrays and returned values always have theirs.
+        incremental: record a launch without running it if an incremental tape has run it before,
+            with the same arguments, and nothing has written the fields that it reads or writes
+            since. Kernels that accumulate, read what they write, draw random numbers, print, or
+            use arrays or sparse fields always run. See the guide of tapes.
     """
 
     # The number of reverse sweeps of all tapes, by which an optimiser sees whether a function has
@@ -127,7 +131,7 @@ class Tape(native.WithBlock):
         self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
         grad_check: Any = None, health: bool = False, *, validate: bool = False,
         seed: Any = None, memory_budget: Any = None, checkpoint: Any = None,
-        precision: bool = False, wrt: Any = None,
+        precision: bool = False, wrt: Any = None, incremental: bool = False,
     ):  # fmt: skip
         # The loss that is an array and not a field, from which the sweep starts as well.
         self._outer_loss = loss if isinstance(loss, Ndarray) else None
@@ -142,6 +146,7 @@ class Tape(native.WithBlock):
         self._sums = [f for f in self._losses if is_number(f) and f.shape + f.element_shape]
         self._seed = seed
         self._wanted = as_wanted(wrt)
+        self._is_incremental = incremental
         self._checkpoint = parse_checkpoint(checkpoint, memory_budget)
         self.loss, self.clear_gradients = loss, clear_gradients
         self._core: Any = None
@@ -200,6 +205,8 @@ class Tape(native.WithBlock):
             set_seeds(self._core, self._losses, seeds)
         if self._wanted:
             self._core.want([part.core for f in self._wanted for part, _ in parts_of(f)])
+        if self._is_incremental:
+            self._core.skip_unchanged()
         self._core.watch_health(self._watches)
         self._checks = self._validates or program.options.debug
         if self._checks:

@@ -299,7 +299,8 @@ TEST(DirectReplay, CallsFunctionsInOrder) {
   ASSERT_TRUE(direct.findReverse(plan, forms));
   EXPECT_TRUE(calls.empty());
   EXPECT_OK(direct.runForward(launch.get()));
-  EXPECT_OK(direct.runReverse(launch.get(), plan));
+  FirstStores first(scene.services, recording, plan, forms);
+  EXPECT_OK(direct.runReverse(launch.get(), plan, first));
   EXPECT_EQ(calls, (std::vector<Call>{{'f', 10, 50},
                                       {'f', 11, 51},
                                       {'f', 12, 52},
@@ -367,9 +368,10 @@ TEST(ReverseSweep, CallsAdjointsAndHostFunctions) {
   TapePlan plan;
   plan.make(scene.services, recording, {}, {});
   AdjointForms forms(scene.services, recording, plan, memory);
+  FirstStores first(scene.services, recording, plan, forms);
   AdjointHealth health;
   ReverseSweep sweep(scene.services, *scene.tape, recording, plan, forms,
-                     memory, topology, health);
+                     memory, topology, first, health);
   HeldLaunch launch(scene.services);
   calls.clear();
   // No adjoint is live after the host function; its reverse function makes y
@@ -433,9 +435,10 @@ TEST(Rematerialiser, RefusesBadPolicies) {
   TapeTopology topology(scene.runtime);
   TapePlan plan;
   AdjointForms forms(scene.services, recording, plan, memory);
+  FirstStores first(scene.services, recording, plan, forms);
   AdjointHealth health;
   ReverseSweep sweep(scene.services, *scene.tape, recording, plan, forms,
-                     memory, topology, health);
+                     memory, topology, first, health);
   Rematerialiser rematerialiser(scene.services, recording, plan, memory,
                                 topology, sweep);
   EXPECT_FALSE(rematerialiser.isOn());

@@ -55,6 +55,28 @@ def TaiRT_TreeBaseOp : TaiRT_Op<"tree_base", [
   let assemblyFormat = "$tree attr-dict `:` type($base)";
 }
 
+def TaiRT_StartsAtZeroOp : TaiRT_Op<"starts_at_zero", [Pure]> {
+  let summary = "test whether an adjoint counts as zero";
+  let description = [{
+    True if the launch may take all elements of an adjoint field for zero, and
+    has to store them: their memory holds old numbers. `number` is the position
+    of the field in the attribute `tai.stores_first` of the kernel. The result
+    is the same during a launch, and false unless a tape knows better. Created
+    by `tai-store-first`, and lowered by `convert-tai-to-scf` to a load from the
+    frame of the launch.
+
+    Example:
+
+    ```mlir
+    %zero = tai_rt.starts_at_zero 0
+    ```
+  }];
+  let arguments = (ins ConfinedAttr<I32Attr, [IntNonNegative,
+                                              IntMaxValue<63>]>:$number);
+  let results = (outs I1:$zero);
+  let assemblyFormat = "$number attr-dict";
+}
+
 // The class of ops on cells of a sparse level. Cells are numbered row-major,
 // level by level. `node` is the number of the level in its tree, parents before
 // children.
