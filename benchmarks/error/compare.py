@@ -78,10 +78,10 @@ class Pair:
             self.workers[side] = Worker(arguments, python, tree, log, self.crowd)
             self.workers[side].answer(given.timeout)
 
-    def errors(self, reference: Path) -> None:
+    def errors(self, reference: Path, seconds: float) -> None:
         for side, worker in self.workers.items():
-            said = worker.ask("errors", self.given.timeout, reference=str(reference), seconds=10,
-                              distinct=1)  # fmt: skip
+            said = worker.ask("errors", self.given.timeout, reference=str(reference),
+                              seconds=seconds, distinct=1)  # fmt: skip
             self.sides[side] = {"error": said and said["error"], "times": []}
             worker.ask("warm", self.given.timeout, seconds=2)
 
@@ -140,13 +140,17 @@ def main(arguments: list[str] | None = None) -> int:
             for number, (scene, mode) in enumerate(places):
                 share = (end - time.monotonic()) / (len(places) - number)
                 begin = time.monotonic()
+                if share <= 0:
+                    outcomes.append("not judged")
+                    print(f"not judged {scene}, {mode}: no time was left", flush=True)
+                    continue
                 reference = work / f"reference-{scene}"
                 if not reference.exists():
                     make_reference(given.base, scene, given.size, reference)
                 pair = Pair(given, scene, mode, work, log)
-                pair.errors(reference)
+                pair.errors(reference, min(10, share / 4))
                 for turn in range(given.rounds):
-                    if time.monotonic() - begin > share:
+                    if turn >= LEAST_ROUNDS and time.monotonic() - begin > share:
                         break
                     pair.round(turn)
                 outcome, text = pair.end()

@@ -341,6 +341,14 @@ def test_a_build_against_itself():
     assert "sin, f32: error" in done.stdout, done.stdout + done.stderr
 
 
+def test_two_builds_in_little_time():
+    """A row that is begun is judged; the time of the others is up."""
+    done = start("compare.py", ROOT, "--scenes", "sin,exp", "--modes", "f32", "--size", "tiny",
+                 "--seconds", "0.5")  # fmt: skip
+    assert "sin, f32: error" in done.stdout and "2 rounds" in done.stdout, done.stderr
+    assert "not judged exp, f32: no time was left" in done.stdout
+
+
 @pytest.mark.parametrize(
     "options, text",
     [

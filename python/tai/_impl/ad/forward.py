@@ -29,6 +29,7 @@ from .mode import (
     prepare,
     warn_of_lost,
 )
+from .snapshot import Snapshot
 from .tape import Tape
 
 
@@ -120,11 +121,15 @@ def _pair(inputs: Any, directions: Any) -> list[tuple[Any, Any]]:
     return list(zip(inputs, directions, strict=True))
 
 
-def jvp(function: Callable[[], Any] | Any, inputs: Any, directions: Any, outputs: Any) -> Any:
+def jvp(
+    function: Callable[[], Any] | Any, inputs: Any, directions: Any, outputs: Any,
+    many: bool = False,
+) -> Any:  # fmt: skip
     """A product of the Jacobian matrix and a vector, by one run in forward mode.
 
     ```python
     tangent = ti.ad.jvp(simulate, x, direction, loss)
+    tangents = ti.ad.jvp(simulate, x, np.eye(n), y, many=True)
     ```
 
     Args:
@@ -132,6 +137,10 @@ def jvp(function: Callable[[], Any] | Any, inputs: Any, directions: Any, outputs
         inputs: a field, or a list of fields.
         directions: for each of them an array of shape `shape + element_shape`.
         outputs: a field, or a list of fields.
+        many: there are several directions: arrays have one more index, in front, and so have the
+            results. There is a run for each direction, which begins with the fields as they are at
+            the call, and they are put back at the end. Fields of a `ti.batch` take directions for
+            all worlds in one run.
 
     Returns:
         The derivative of the outputs along the directions, an array of shape
@@ -142,8 +151,41 @@ def jvp(function: Callable[[], Any] | Any, inputs: Any, directions: Any, outputs
         TaiAutodiffError: a field has no dual, or something has no tangent rule.
         TaiRuntimeTypeError: a direction has the wrong shape.
     """
-    results = run_forward(function, _pair(inputs, directions), _as_list(outputs))
+    pairs = _pair(inputs, directions)
+    rows = _as_list(outputs)
+    results = _run_many(function, pairs, rows) if many else run_forward(function, pairs, rows)
     return results if isinstance(outputs, (list, tuple)) else results[0]
+
+
+def _run_many(
+    function: Any, pairs: Sequence[tuple[Any, Any]], outputs: Sequence[Any]
+) -> list[np.ndarray]:
+    """Runs kernels in forward mode for each of several directions, from the same start."""
+    as_function(function, or_tape=True)
+    stacks = []
+    for field, given in pairs:
+        check_dual(field, "the field of a tangent")
+        wanted = field.shape + field.element_shape
+        stack = np.asarray(given)
+        if stack.ndim != len(wanted) + 1 or stack.shape[1:] != wanted:
+            raise TaiRuntimeTypeError(
+                f"many directions of field '{field.name}' must have shape {('n', *wanted)}, but "
+                f"got {stack.shape}".replace("'n'", "n")
+            )
+        stacks.append(stack)
+    counts = sorted({len(stack) for stack in stacks})
+    if len(counts) != 1 or counts[0] == 0:
+        raise TaiRuntimeTypeError(
+            f"each field needs the same number of directions, and at least one, but got {counts}"
+        )
+    materialize(get_program(), caller_names())
+    found = []
+    with Snapshot() as start:
+        for number in range(counts[0]):
+            start.restore(only_primal=True)
+            chosen = [(f, stack[number]) for (f, _), stack in zip(pairs, stacks, strict=True)]
+            found.append(run_forward(function, chosen, outputs))
+    return [np.stack(arrays) for arrays in zip(*found, strict=True)]
 
 
 def hvp(function: Callable[[], Any] | Any, loss: Any, inputs: Any, directions: Any) -> Any:
