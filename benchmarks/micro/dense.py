@@ -69,8 +69,14 @@ class Bodies:
             for i in range(N):
                 loss[None] += x[t, b, i]
 
+        @ti.kernel
+        def total_of_a_range(t: ti.i32):
+            for b, i in ti.ndrange((3, 4), N):
+                loss[None] += x[t, b, i]
+
         self.step, self.step_one = step, step_one
         self.total, self.total_one = total, total_one
+        self.total_of_a_range = total_of_a_range
 
     def sweep(self, *launches):
         """The sweep of a tape of these launches."""
@@ -107,6 +113,17 @@ def one_body_by_launches():
     every = [(scene.step_one, t, b) for t in range(STEPS) for b in range(BODIES)]
     return (
         scene.sweep(*every, (scene.total_one, STEPS, 3)),
+        other.sweep(*((other.step_one, t, 3) for t in range(STEPS)), (other.total_one, STEPS, 3)),
+    )
+
+
+@row("dead-launches")
+def one_body_by_a_range():
+    """The same, with the loss over a range of one body."""
+    scene, other = Bodies(), Bodies()
+    every = [(scene.step_one, t, b) for t in range(STEPS) for b in range(BODIES)]
+    return (
+        scene.sweep(*every, (scene.total_of_a_range, STEPS)),
         other.sweep(*((other.step_one, t, 3) for t in range(STEPS)), (other.total_one, STEPS, 3)),
     )
 

@@ -8,6 +8,7 @@
 #include "tai/Analysis/KernelAccesses.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
@@ -70,13 +71,54 @@ evaluateOnLaunch(const IndexExpr &form, size_t dimension,
   return fixed;
 }
 
+/// Replaces the index of a loop by the lower bound, if the loop has at most one
+/// iteration.
+static void replaceIfSingle(IndexExpr &form, Value iv, Value lower, Value upper,
+                            int64_t step) {
+  if (!form.mentions(iv))
+    return;
+  IndexExpr from = getIndexExpr(lower), to = getIndexExpr(upper);
+  IndexExpr length = to;
+  length.add(from, -1);
+  if (from.isExact() && to.isExact() && length.isConstant() &&
+      length.constant <= step)
+    form = form.substitute([&](Value value) -> std::optional<IndexExpr> {
+      return value == iv ? std::optional(from) : std::nullopt;
+    });
+}
+
+/// Returns the form of an index of `op`, in which loops with at most one
+/// iteration do not occur.
+static IndexExpr getOwnForm(Operation *op, Value index) {
+  IndexExpr form = getIndexExpr(index);
+  for (Operation *parent = op->getParentOp();
+       parent && !form.isConstant() && !isa<KernelOp>(parent);
+       parent = parent->getParentOp()) {
+    if (auto loop = dyn_cast<scf::ForOp>(parent)) {
+      std::optional<int64_t> step = getConstantIntValue(loop.getStep());
+      if (step && *step > 0 && !loop.getUnsignedCmp())
+        replaceIfSingle(form, loop.getInductionVar(), loop.getLowerBound(),
+                        loop.getUpperBound(), *step);
+      continue;
+    }
+    auto loop = dyn_cast<ParallelForOp>(parent);
+    if (!loop || loop.isStructFor() || loop.getLevel())
+      continue;
+    for (auto [iv, lower, upper] :
+         llvm::zip(loop.getInductionVars(), loop.getLowerBounds(),
+                   loop.getUpperBounds()))
+      replaceIfSingle(form, iv, lower, upper, 1);
+  }
+  return form;
+}
+
 /// Returns those indices of an access that are sums of constants and integer
 /// arguments.
 static std::vector<runtime::FixedIndex>
-getFixedIndices(ValueRange indices, const ArgumentSlots &slots) {
+getFixedIndices(Operation *op, ValueRange indices, const ArgumentSlots &slots) {
   std::vector<runtime::FixedIndex> found;
   for (auto [dimension, index] : llvm::enumerate(indices))
-    if (auto fixed = evaluateOnLaunch(getIndexExpr(index), dimension, slots))
+    if (auto fixed = evaluateOnLaunch(getOwnForm(op, index), dimension, slots))
       found.push_back(std::move(*fixed));
   return found;
 }
@@ -225,7 +267,7 @@ mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
       continue;
     root.walk([&](StoreOp store) {
       bool mayBeBox = isa<KernelOp>(root) && store.getComponents().empty();
-      add(store.getField(), getFixedIndices(store.getIndices(), slots),
+      add(store.getField(), getFixedIndices(store, store.getIndices(), slots),
           mayBeBox ? findStoredBox(store, store.getIndices(), slots)
                    : std::nullopt);
     });
@@ -275,9 +317,10 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
       findIntegerArguments(module ? module : cast<ModuleOp>(root));
   std::vector<NamedAccess> list;
   llvm::StringMap<unsigned> places;
+  Operation *current = nullptr;
   auto add = [&](FlatSymbolRefAttr field, Kind kind, ValueRange indices = {}) {
     NamedAccess access{field.getValue().str(), kind,
-                       getFixedIndices(indices, slots)};
+                       getFixedIndices(current, indices, slots)};
     if (llvm::is_contained(list, access))
       return;
     ++places[access.field];
@@ -297,6 +340,7 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
       }
   };
   root->walk([&](Operation *op) {
+    current = op;
     if (isa<ParallelForOp>(op))
       return;
     auto access = dyn_cast<FieldAccessOpInterface>(op);

@@ -79,8 +79,8 @@ class Program:
 
         @ti.kernel
         def in_place(t: ti.i32, b: ti.i32):
-            for i in range(n):
-                x[t, b, i] *= 1.01
+            for s, c, i in ti.ndrange((t, t + 1), (b, b + 1), n):
+                x[s, c, i] *= 1.01
 
         @ti.kernel
         def scatter(t: ti.i32, b: ti.i32):
@@ -94,8 +94,8 @@ class Program:
 
         @ti.kernel
         def some(t: ti.i32, b: ti.i32, m: ti.i32):
-            for i in range(m):
-                x[t, b, i] = 0.3 * one
+            for c, i in ti.ndrange((b, b + 1), m):
+                x[t, c, i] = 0.3 * one
 
         @ti.kernel
         def element(t: ti.i32):
@@ -107,12 +107,50 @@ class Program:
                 loss[None] += part(x[t, b, i])
 
         @ti.kernel
+        def energy_of_range(t: ti.i32, b: ti.i32, c: ti.i32):
+            for d, i in ti.ndrange((b, c), n):
+                loss[None] += part(x[t, d, i])
+
+        @ti.kernel
+        def energy_of_next(t: ti.i32, b: ti.i32):
+            for d, i in ti.ndrange((b, b + 1), n):
+                loss[None] += part(x[t, d, i])
+
+        @ti.kernel
+        def energy_of_one(t: ti.i32):
+            for d, i in ti.ndrange((1, 2), n):
+                loss[None] += part(x[t, d, i])
+
+        @ti.kernel
+        def energy_of_none(t: ti.i32):
+            for d, i in ti.ndrange((1, 1), n):
+                loss[None] += part(x[t, d, i])
+
+        @ti.kernel
+        def energy_of_inner(t: ti.i32, b: ti.i32):
+            for i in range(n):
+                for d in range(b, b + 1):
+                    for e in range(d, d + 1):
+                        loss[None] += part(x[t, e, i])
+
+        @ti.kernel
+        def energy_of_two(t: ti.i32):
+            for d, i in ti.ndrange((1, 3), n):
+                loss[None] += part(x[t, d, i])
+
+        @ti.kernel
         def energy_of_y(t: ti.i32):
             for b, i in ti.ndrange(B, n):
                 loss[None] += part(y[t, b, i])
 
         self.step, self.step_all = step, step_all
         self.energy, self.energy_of_y = energy, energy_of_y
+        # Losses on body 1, by ranges that have one iteration or none; and by other ranges.
+        self.single = {
+            "argument": lambda t: energy_of_next(t, 1), "inner": lambda t: energy_of_inner(t, 1),
+            "constant": energy_of_one, "none": energy_of_none,
+        }  # fmt: skip
+        self.longer = {"two": energy_of_two, "unknown": lambda t: energy_of_range(t, 1, 2)}
         self.others = {
             "across": across, "back": back, "in_place": in_place, "scatter": scatter,
             "anywhere": anywhere, "some": some, "element": element,
@@ -233,6 +271,31 @@ def test_a_loss_on_one_body_skips_the_others(layout, order):
     assert not grad[:, 0].any() and not grad[:, 2].any()
     # No launch changes elements that the adjoint of an earlier one reads.
     assert tape.stats().peak_bytes == 0
+
+
+def gradient_of_steps(program, loss):
+    program.reset()
+    with ti.ad.Tape(program.loss):
+        for t, b in steps_of(program, "time first"):
+            program.step(t, b)
+        loss(T)
+    return program.x.grad.to_numpy().tobytes()
+
+
+@pytest.mark.parametrize("name", ["constant", "argument", "inner", "none"])
+def test_a_range_with_one_iteration_is_a_fixed_index(name):
+    program = Program("shape", 37, skip="all")
+    found = gradient_of_steps(program, program.single[name])
+    assert counters() == {"recorded": T * B + 1, "replayed": T + 1, "skipped": T * (B - 1)}
+    program = Program("shape", 37, skip="all,-dead-launches")
+    assert found == gradient_of_steps(program, program.single[name])
+
+
+@pytest.mark.parametrize("name", ["two", "unknown"])
+def test_a_range_with_more_iterations_is_none(name):
+    program = Program("shape", 37, skip="all")
+    gradient_of_steps(program, program.longer[name])
+    assert counters() == {"recorded": T * B + 1, "replayed": T * B + 1, "skipped": 0}
 
 
 @pytest.mark.parametrize("when", [0, 1, T // 2, T])

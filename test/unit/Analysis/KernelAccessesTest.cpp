@@ -81,6 +81,49 @@ TEST_F(LaunchAccessesTest, IndicesFromArgumentsAreToldFromTheLaunch) {
   EXPECT_EQ(box.ranges[1].upper.evaluate(arguments), 16);
 }
 
+// The index of a loop with at most one iteration is the lower bound, also of a
+// loop in such a loop; those of longer loops, and of loops whose length is not
+// known, are no fixed indices.
+TEST_F(LaunchAccessesTest, LoopsOfOneIterationAreFixedIndices) {
+  parse(R"(
+    tai.kernel @k(%v: f32, %t: i32, %u: i32) {
+      %c1 = arith.constant 1 : index
+      %c3 = arith.constant 3 : index
+      %c4 = arith.constant 4 : index
+      %from = arith.index_cast %t : i32 to index
+      %to = arith.addi %from, %c1 : index
+      %end = arith.index_cast %u : i32 to index
+      tai.parallel_for (%i, %j) = (%from, %c3) to (%to, %c4) {
+        %behind = arith.addi %i, %c1 : index
+        scf.for %k = %i to %behind step %c1 {
+          %0 = tai.load @x[%k, %j] : f32
+          tai.store %0, @x[%i, %j] : f32
+        }
+        scf.for %k = %c3 to %c4 step %c4 {
+          scf.for %l = %c1 to %c3 step %c1 {
+            tai.store %v, @x[%k, %l] : f32
+          }
+        }
+        scf.for %k = %from to %end step %c1 {
+          %0 = tai.load @x[%k, %k] : f32
+        }
+      }
+      tai.return
+    })");
+  std::vector<NamedAccess> accesses = listAccesses(kernel);
+  ASSERT_EQ(accesses.size(), 4u);
+  uint64_t arguments[] = {0, 5, 9};
+  for (size_t i : {0, 1}) {
+    ASSERT_EQ(accesses[i].fixed.size(), 2u);
+    EXPECT_EQ(accesses[i].fixed[0].evaluate(arguments), 5);
+    EXPECT_EQ(accesses[i].fixed[1].evaluate(arguments), 3);
+  }
+  ASSERT_EQ(accesses[2].fixed.size(), 1u);
+  EXPECT_EQ(accesses[2].fixed[0].dimension, 0);
+  EXPECT_EQ(accesses[2].fixed[0].evaluate(arguments), 3);
+  EXPECT_TRUE(accesses[3].fixed.empty());
+}
+
 // A 32-bit sum wraps around at the launch as it does in the kernel, also after
 // it was serialised.
 TEST_F(LaunchAccessesTest, SumsWrapAsTheProgramDoes) {
