@@ -12,12 +12,9 @@
 #include "ArrayArguments.h"
 #include "Safepoint.h"
 #include "TensorView.h"
-#include "tai/Support/XXHash.h"
 
 #include <algorithm>
 #include <cstring>
-#include <unordered_map>
-#include <utility>
 
 using namespace taipy;
 
@@ -25,45 +22,6 @@ namespace {
 
 /// The class of the arrays that `ti.ndarray` makes.
 PyTypeObject *ndarrayType = nullptr;
-
-/// An array that launches of the tape have used.
-struct TapedArray {
-  py::object owner;
-  uint64_t begin, end;
-  int64_t version;       // of a tensor, or -1
-  uint64_t gradient = 0; // the address
-  /// The version that the adjoints read: the address of a copy, or, if kernels
-  /// change the array, the digest of its contents after the last launch.
-  uint64_t frozen = 0;
-  bool hasDigest = false;
-  uint64_t digest = 0;
-  /// A sample of the elements after the last launch that wrote the array.
-  bool hasSample = false;
-  uint64_t sample = 0;
-};
-/// The arrays of the tape that a thread records.
-struct TapedArrays {
-  /// The tape is kept alive, because otherwise another tape could get its
-  /// address.
-  py::object tape;
-  std::unordered_map<PyObject *, TapedArray> arrays;
-};
-/// A pointer, since destructors at the end of a thread run without Python's
-/// lock.
-thread_local TapedArrays *taped = nullptr;
-
-TapedArray *findTaped(PyObject *object) {
-  if (!taped)
-    return nullptr;
-  auto found = taped->arrays.find(object);
-  return found == taped->arrays.end() ? nullptr : &found->second;
-}
-
-void forgetArrays() {
-  // The pointer is cleared first, because destructors of the arrays may call
-  // this function again.
-  delete std::exchange(taped, nullptr);
-}
 
 /// The format of a buffer, without a byte-order mark.
 const char *formatOf(const Py_buffer &view) {
@@ -92,21 +50,6 @@ bool isFloat(char format) {
 
 } // namespace
 
-uint64_t taipy::digest(uint64_t address, uint64_t bytes) {
-  return mlir::tai::runtime::xxh64(reinterpret_cast<const void *>(address),
-                                   bytes);
-}
-
-uint64_t taipy::sample(uint64_t address, uint64_t bytes) {
-  constexpr uint64_t pieces = 32, size = 64;
-  if (bytes <= pieces * size)
-    return digest(address, bytes);
-  uint64_t result = 0, step = (bytes - size) / (pieces - 1);
-  for (uint64_t i = 0; i < pieces; ++i)
-    result = result * 31 + digest(address + i * step, size);
-  return result;
-}
-
 //===----------------------------------------------------------------------===//
 // HeldArrays
 //===----------------------------------------------------------------------===//
@@ -119,9 +62,10 @@ HeldArrays::~HeldArrays() {
 }
 
 Match HeldArrays::pack(const ArrayArg &arg, PyObject *object,
-                       const Beside *beside, Slots &slots) {
+                       const Beside *beside, size_t number, Slots &slots) {
   size_t first = slots.size();
   Match match;
+  isOnDevice = false;
   if (beside)
     match = arg.element.empty() ? packTensor(arg, object, beside, slots)
                                 : Match::No;
@@ -136,20 +80,24 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object,
   if (match != Match::Yes || (use == ArrayUse::Forward && !mayAlias))
     return match;
   const Range &range = addRange(arg, slots, first);
-  return use == ArrayUse::Recorded ? matchTaped(range, object, slots, first)
-                                   : Match::Yes;
+  return use == ArrayUse::Recorded
+             ? matchTaped(range, object, number, slots, first)
+             : Match::Yes;
 }
 
 /// A launch that only reads an array which earlier launches of the tape have
 /// used needs no new copy of the array. If the launch's adjoint reads the
 /// array, the array must be unchanged since the earlier launches; the launch
 /// reads their copy of it, if there is one.
-Match HeldArrays::matchTaped(const Range &range, PyObject *object, Slots &slots,
-                             size_t first) const {
+Match HeldArrays::matchTaped(const Range &range, PyObject *object,
+                             size_t number, Slots &slots, size_t first) {
   const ArrayArg &arg = *range.arg;
   const TapedArray *found = findTaped(object);
   if (arg.isWritten || !found)
-    return Match::No;
+    return matchTensor(
+        range, object, number, found,
+        arg.hasGradient ? slots[first + 1 + static_cast<size_t>(arg.rank)] : 0,
+        first);
   // The entry is copied, because other threads may change it while the adjoint
   // is planned.
   const TapedArray known = *found;
@@ -183,6 +131,52 @@ Match HeldArrays::matchTaped(const Range &range, PyObject *object, Slots &slots,
                  PyLong_AsLongLong(now.ptr()) == known.version
              ? Match::Yes
              : Match::No;
+}
+
+/// A launch may use a tensor for the first time, or write to one, if nothing
+/// else of the tape shares the memory. A tensor that earlier launches have used
+/// must be unchanged since.
+Match HeldArrays::matchTensor(const Range &range, PyObject *object,
+                              size_t number, const TapedArray *found,
+                              uint64_t gradient, size_t first) {
+  static const Name version("_version"), grad("grad");
+  const ArrayArg &arg = *range.arg;
+  if (!canNoteTensors() || !findTensorType(object).isTensor)
+    return Match::No;
+  py::object now = take(get(object, version));
+  if (!now || !PyLong_Check(now.ptr()))
+    return Match::No;
+  UsedTensor tensor{object,      nullptr,
+                    range.begin, range.end,
+                    gradient,    0,
+                    number,      arg.isWritten,
+                    isOnDevice,  found != nullptr && arg.isWritten};
+  tensor.version = PyLong_AsLongLong(now.ptr());
+  if (found &&
+      (found->begin != range.begin || found->end != range.end ||
+       found->version != tensor.version || found->gradient != gradient))
+    return Match::No;
+  if (tensor.overwrites &&
+      (isOnDevice || range.end - range.begin > mostSavedBytes))
+    return Match::No;
+  if (arg.hasGradient) {
+    py::object adjoint = take(get(object, grad));
+    if (!adjoint || adjoint.is_none())
+      return Match::No;
+    tensor.gradient = adjoint.ptr(); // which `objects` keeps
+  } else if (isFloat(arg.format[0])) {
+    bool ends =
+        arg.isWritten &&
+        taiKernelEndsGradients(kernel.handle, static_cast<int64_t>(first));
+    if (!afterCall())
+      return Match::Error;
+    if (ends || watches)
+      return Match::No;
+  }
+  if (overlapsOthers(object, range.begin, range.end))
+    return Match::No;
+  used.push_back(tensor);
+  return Match::Yes;
 }
 
 Match HeldArrays::packBuffer(const ArrayArg &arg, PyObject *object,
@@ -300,7 +294,8 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
         normal(arg.format[0]) != normal(view.format) ||
         !hasElement(arg, view.rank, view.shape.data()))
       return Match::No;
-    if (view.deviceType == dlpack::kCuda) {
+    isOnDevice = view.deviceType == dlpack::kCuda;
+    if (isOnDevice) {
       if (view.deviceNumber != 0 ||
           (view.bytes() != 0 && !isUsable(view.address)))
         return Match::No;
@@ -391,13 +386,14 @@ bool HeldArrays::mustNotOverlap(const Range &one, const Range &other) const {
          (isRecorded || !one.isSame(other));
 }
 
-Match HeldArrays::finish(Slots &slots) {
+Match HeldArrays::finish(PyObject *launcher, Slots &slots) {
   for (size_t i = 0; i < numRanges; ++i)
     for (size_t j = 0; j < i; ++j)
       if (ranges[i].overlaps(ranges[j]) && mustNotOverlap(ranges[i], ranges[j]))
         return Match::No;
   slots.append(adjoints);
-  return Match::Yes;
+  return used.empty() || noteTensors(used, launcher) ? Match::Yes
+                                                     : Match::Error;
 }
 
 bool HeldArrays::orderStreams(TaiStatus (*order)(TaiContext, uint64_t)) {
@@ -420,57 +416,7 @@ bool HeldArrays::orderBefore() {
 
 bool HeldArrays::orderAfter() { return orderStreams(&taiContextLetStreamWait); }
 
-void taipy::setArrayTape(PyObject *tape) {
-  // Without a tape, while a function runs that is not recorded, the arrays of
-  // the last tape stay.
-  if (!tape || (taped && taped->tape.ptr() == tape))
-    return;
-  forgetArrays();
-  taped = new TapedArrays{py::reinterpret_borrow<py::object>(tape), {}};
-}
-
 void taipy::bindArrayArguments(py::module_ &module) {
-  module.def("note_taped_array", [](const py::object &array, uint64_t address,
-                                    uint64_t bytes, int64_t version) {
-    if (!taped)
-      return;
-    auto [entry, isNew] = taped->arrays.try_emplace(
-        array.ptr(), TapedArray{array, address, address + bytes, version});
-    entry->second.begin = address;
-    entry->second.end = address + bytes;
-    entry->second.version = version;
-    entry->second.frozen = 0;
-    entry->second.hasDigest = false;
-    entry->second.hasSample = false;
-  });
-  // Notes that adjoints read a copy of the array, at this address.
-  module.def("note_frozen_array", [](const py::object &array, uint64_t frozen) {
-    if (TapedArray *found = findTaped(array.ptr()))
-      found->frozen = frozen;
-  });
-  // Notes that adjoints read the array itself, which must keep this digest.
-  module.def("note_array_digest", [](const py::object &array, uint64_t value) {
-    if (TapedArray *found = findTaped(array.ptr())) {
-      found->hasDigest = true;
-      found->digest = value;
-    }
-  });
-  // Notes a sample of an array that adjoints read and kernels write: if the
-  // sample changes, Python has written the array, too.
-  module.def("note_array_sample", [](const py::object &array, uint64_t value) {
-    if (TapedArray *found = findTaped(array.ptr())) {
-      found->hasSample = true;
-      found->sample = value;
-    }
-  });
-  module.def("digest", &digest);
-  module.def("sample", &sample);
-  module.def("note_taped_gradient",
-             [](const py::object &array, uint64_t address) {
-               if (TapedArray *found = findTaped(array.ptr()))
-                 found->gradient = address;
-             });
-  module.def("forget_taped_arrays", &forgetArrays);
   module.def("set_ndarray_type", [](const py::object &type) {
     ndarrayType = reinterpret_cast<PyTypeObject *>(type.inc_ref().ptr());
   });

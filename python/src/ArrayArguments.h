@@ -15,6 +15,7 @@
 
 #include "Core.h"
 #include "Slots.h"
+#include "TapedArrays.h"
 
 #include <vector>
 
@@ -61,23 +62,25 @@ struct Beside {
 class HeldArrays {
 public:
   /// `mayAlias`: the kernel takes several arrays and writes to one.
-  HeldArrays(const Kernel &kernel, ArrayUse use, bool mayAlias)
-      : kernel(kernel), context(*kernel.context), use(use), mayAlias(mayAlias) {
-  }
+  /// `watches`: Python code must look at new arrays without a gradient.
+  HeldArrays(const Kernel &kernel, ArrayUse use, bool mayAlias, bool watches)
+      : kernel(kernel), context(*kernel.context), use(use), mayAlias(mayAlias),
+        watches(watches) {}
   ~HeldArrays();
   HeldArrays(const HeldArrays &) = delete;
   HeldArrays &operator=(const HeldArrays &) = delete;
 
-  /// Adds the slots of an array. `No` means that Python code must handle the
-  /// array.
+  /// Adds the slots of an array, which is an argument of this \p number. `No`
+  /// means that Python code must handle the array.
   ///
   /// \p beside is null if the array has its gradient itself.
   Match pack(const ArrayArg &arg, PyObject *object, const Beside *beside,
-             Slots &slots);
-  /// Call when all arguments have been packed: appends the gradients, as
-  /// adjoints. `No` for forbidden overlaps: of two overlapping arrays, one has
-  /// a gradient, or one is written and the arrays are not identical.
-  Match finish(Slots &slots);
+             size_t number, Slots &slots);
+  /// Call when all arguments of \p launcher have been packed and the launch is
+  /// certain: appends the gradients, as adjoints, and notes the tensors for the
+  /// tape. `No` for forbidden overlaps: of two overlapping arrays, one has a
+  /// gradient, or one is written and the arrays are not identical.
+  Match finish(PyObject *launcher, Slots &slots);
 
   /// Order the launch after the queued work of the arrays' libraries, and their
   /// later work after the launch. False, with a Python error, on failure.
@@ -109,14 +112,17 @@ private:
   Match addGradient(Match match, Slots &slots, size_t first);
   const Range &addRange(const ArrayArg &arg, const Slots &slots, size_t first);
   bool isUsable(uint64_t address) const;
-  Match matchTaped(const Range &range, PyObject *object, Slots &slots,
-                   size_t first) const;
+  Match matchTaped(const Range &range, PyObject *object, size_t number,
+                   Slots &slots, size_t first);
+  Match matchTensor(const Range &range, PyObject *object, size_t number,
+                    const TapedArray *found, uint64_t gradient, size_t first);
   bool mustNotOverlap(const Range &one, const Range &other) const;
 
   const Kernel &kernel;
   Context &context;
   ArrayUse use;
-  bool mayAlias;
+  bool mayAlias, watches;
+  bool isOnDevice = false; // the array that was packed last
   std::vector<Py_buffer> buffers;
   std::vector<PyObject *> objects;
   /// The arrays so far; stored inline for most kernels.
@@ -126,16 +132,9 @@ private:
   Range *ranges = few;
   std::vector<uint64_t> adjoints;
   std::vector<uint64_t> streams;
+  /// Tensors that the tape is to note.
+  std::vector<UsedTensor> used;
 };
-
-/// A hash of the bytes: two different contents have the same hash in one case
-/// in 2⁶⁴.
-uint64_t digest(uint64_t address, uint64_t bytes);
-/// A hash of a sample of the bytes, for large arrays.
-uint64_t sample(uint64_t address, uint64_t bytes);
-
-/// Sets the tape that is recording, or None.
-void setArrayTape(PyObject *tape);
 
 void bindArrayArguments(py::module_ &module);
 

@@ -21,9 +21,11 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <map>
 #include <memory>
 #include <new>
 #include <string>
+#include <vector>
 
 namespace taipy {
 
@@ -88,6 +90,22 @@ struct Kernel {
 
   ContextRef context;
   TaiKernel handle;
+};
+
+/// A tape of the C API.
+struct Tape {
+  ContextRef context;
+  TaiTape handle = nullptr;
+  // Python objects that the records point to: callables and arrays.
+  std::vector<std::unique_ptr<py::object>> kept;
+  // The forward callables of host functions, by record, for reports.
+  std::map<int64_t, py::object> hostFunctions;
+
+  ~Tape() {
+    Teardown teardown;
+    if (handle)
+      taiTapeDestroy(handle);
+  }
 };
 
 void bindRuntime(py::module_ &module);

@@ -75,6 +75,8 @@ std::unordered_set<uint64_t> knownSites;
 /// keeps alive, and the places where a launch with one of them was reported.
 thread_local std::unordered_set<const PyObject *> readNumbers;
 std::unordered_set<uint64_t> reportedSites;
+/// True if other libraries may have views of the memory of fields.
+bool fieldsAreViewed = false;
 /// Places where Python code has checked a launch that cuts a graph of torch.
 std::unordered_set<uint64_t> knownGraphSites;
 
@@ -244,9 +246,10 @@ Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
   return Match::Yes;
 }
 
-Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
+Match packArg(const Specialization &spec, size_t number, PyObject *object,
               const Beside *beside, Slots &slots,
               std::optional<HeldArrays> &held) {
+  const Arg &arg = spec.args[number];
   uint64_t slot = 0;
   switch (arg.kind) {
   case ArgKind::Constant:
@@ -260,8 +263,8 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
                    isRecording() ? ArrayUse::Recorded
                    : spec.grad   ? ArrayUse::Gradient
                                  : ArrayUse::Forward,
-                   spec.arraysMayAlias);
-    return held->pack(arg.array, object, beside, slots);
+                   spec.arraysMayAlias, fieldsAreViewed || watchesNumbers());
+    return held->pack(arg.array, object, beside, number, slots);
   case ArgKind::F32:
   case ArgKind::F64: {
     double number;
@@ -378,7 +381,7 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
 ///
 /// \p gradients: one for each argument; null where the arrays have their
 /// gradients themselves.
-Match tryLaunch(Specialization &spec, PyObject *const *args,
+Match tryLaunch(Launcher *self, Specialization &spec, PyObject *const *args,
                 const Beside *gradients, size_t count, PyObject *&answer) {
   if (spec.generation != generation || spec.args.size() != count ||
       (isRecording() &&
@@ -397,16 +400,18 @@ Match tryLaunch(Specialization &spec, PyObject *const *args,
   Slots slots;
   std::optional<HeldArrays> held;
   for (size_t i = 0; i < count; ++i) {
-    Match match = packArg(spec, spec.args[i], args[i],
-                          gradients ? &gradients[i] : nullptr, slots, held);
+    Match match = packArg(spec, i, args[i], gradients ? &gradients[i] : nullptr,
+                          slots, held);
     if (match != Match::Yes)
       return match;
   }
   if (!spec.reads.hold())
     return Match::No;
-  if (held)
-    if (Match match = held->finish(slots); match != Match::Yes)
+  if (held) {
+    auto *launcher = reinterpret_cast<PyObject *>(self);
+    if (Match match = held->finish(launcher, slots); match != Match::Yes)
       return match;
+  }
   if (held && !held->orderBefore())
     return Match::Error;
   answer = launch(spec, slots.data(), slots.size());
@@ -445,7 +450,7 @@ Match launchKnown(Launcher *self, PyObject *const *args,
   auto &all = *self->specializations;
   for (size_t i = all.size(); i-- > 0;) {
     Specialization *spec = all[i].get();
-    Match match = tryLaunch(*spec, args, gradients, count, answer);
+    Match match = tryLaunch(self, *spec, args, gradients, count, answer);
     if (match == Match::Error) {
       answer = nullptr;
       return Match::Yes;
@@ -608,6 +613,7 @@ void taipy::bindLauncher(py::module_ &module) {
     throw py::error_already_set();
   module.attr("Launcher") = type;
   bindArrayArguments(module);
+  bindTapedArrays(module);
   bindConstants(module);
   bindWatchedViews(module);
 
@@ -623,6 +629,7 @@ void taipy::bindLauncher(py::module_ &module) {
   });
   module.def("watch_numbers",
              [](bool on) { setFlag(watchesNumbersHere, watchingThreads, on); });
+  module.def("note_views_of_fields", [](bool on) { fieldsAreViewed = on; });
   module.def("forget_sites", [] {
     knownSites.clear();
     knownGraphSites.clear();

@@ -229,21 +229,6 @@ void fromBfloats(const std::vector<uint16_t> &numbers, void *result) {
   }
 }
 
-struct Tape {
-  ContextRef context;
-  TaiTape handle = nullptr;
-  // Python objects that the records point to: callables and arrays.
-  std::vector<std::unique_ptr<py::object>> kept;
-  // The forward callables of host functions, by record, for reports.
-  std::map<int64_t, py::object> hostFunctions;
-
-  ~Tape() {
-    Teardown teardown;
-    if (handle)
-      taiTapeDestroy(handle);
-  }
-};
-
 /// Runs one of a pair of Python callables without arguments for the tape. An
 /// exception stays set and becomes a failure of the sweep.
 TaiStatus callBack(void *pair, int which) {

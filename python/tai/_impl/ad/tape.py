@@ -213,6 +213,7 @@ class Tape(native.WithBlock):
             self._core.check_accesses(LIMIT, not self._validates)
         state.of_thread.tape = self._core
         native.set_tape(self._core)
+        self._values.arrays.follow()
         # How the solves of its block ended, in order: `ti.linalg.SolveInfo` of each.
         self.solves = state.of_thread.solves = []
         origins.note_tape(self._core, self._checks)

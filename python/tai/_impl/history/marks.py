@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..base import native
 from ..base.program import at_close
 
 
@@ -136,6 +137,7 @@ def mark(value: Any, how: Mark = Mark.HOST) -> None:
 def mark_view(field: Any, extent: Extent, loan: Any) -> None:
     """Notes that another library has a view of the memory of a field, while `loan` exists."""
     _views[:] = [view for view in _views if view.field() is not None]
+    native.note_views_of_fields(True)
     _views.append(_View(extent, field, loan))
 
 
@@ -187,4 +189,10 @@ def clear() -> None:
     _of_thread.regions.clear()
 
 
-at_close.append(_views.clear)
+def _forget_views() -> None:
+    if _views:
+        _views.clear()
+        native.note_views_of_fields(False)
+
+
+at_close.append(_forget_views)

@@ -136,6 +136,10 @@ class Kernel(native.Launcher):
                 state.of_thread.fp = outer
         return self._signature
 
+    def parameter_name(self, number: int) -> str:
+        """Returns the name of a parameter by its number."""
+        return self._get_signature().names[number]
+
     @property
     def _result(self) -> ResultType | None:
         """The type of the kernel's result; None also before the first call."""

@@ -291,7 +291,7 @@ class Ordered(native.WithBlock):
         self._streams: Any = None
 
     def _enter(self) -> None:
-        self._streams = device_arrays.order_before(list(self._arrays.streams.values()))
+        self._streams = device_arrays.order_before(self._arrays.of_streams())
 
     def _end(self) -> None:
         if self._streams is not None:
@@ -321,6 +321,9 @@ class TapeArrays:
 
     def __init__(self, core: Any, runs_again: bool, take: weakref.WeakMethod):
         self._core, self._runs_again, self._launcher = core, runs_again, native
+        # Tensors of launches without Python, until `_learn` is called; see
+        # python/src/TapedArrays.h.
+        self._noted = None if runs_again else native.NotedTensors(core)
         # A callback for the gradient of each array that a launch uses. The reference is weak
         # because the callback is a method of the tape.
         self._take = take
@@ -345,6 +348,40 @@ class TapeArrays:
         self._tensors: dict[int, list] = {}
         self._gradients: dict[int, tuple[Any, Any]] = {}
 
+    def follow(self) -> None:
+        """Lets launches of this thread use new tensors without Python. Called when it records."""
+        if self._noted is not None:
+            native.follow_tensors(self._noted)
+
+    def _learn(self) -> None:
+        """Takes over what launches without Python have noted."""
+        for tensor, memory, gradient, version, *launch in self._noted.take() if self._noted else ():
+            kernel, number, is_written, is_restored = launch
+            array: Any = device_arrays.as_device_array(memory)
+            if array is None:
+                array = device_arrays.host_view(memory)
+            else:
+                self.streams.setdefault(array.library, array)
+            name, has_gradient = kernel.parameter_name(number), gradient is not None
+            held = HeldArray(name, kernel.__name__, tensor, array, array, 0, True, is_written,
+                             has_gradient)  # fmt: skip
+            key = (array.ctypes.data, array.nbytes, getattr(array, "strides", None))
+            self._core.keep(array)
+            self._tensors.setdefault(id(tensor), [tensor, version])
+            self._used[key] = array
+            self._names.setdefault(key, held)
+            if has_gradient:
+                self._gradients.setdefault(id(tensor), (tensor, gradient))
+            if is_written:
+                self._written[key] = array
+            if is_restored:
+                self._restored[key] = array
+
+    def _learn_changes(self) -> None:
+        """Takes over what launches without Python have noted, unless a sweep can do without."""
+        if self._noted and not self._noted.are_unchanged():
+            self._learn()
+
     def use(self, held: HeldArray) -> Any:
         """Notes an array of the launch that comes next; returns the array to pass.
 
@@ -355,6 +392,7 @@ class TapeArrays:
             TaiRuntimeError: its library, or Python, has changed it since an earlier launch.
             TaiAutodiffError: a tape that runs kernels again would not find its former contents.
         """
+        self._learn()
         value, array = held.value, held.array
         self._core.keep(array)
         if isinstance(array, device_arrays.DeviceArray):
@@ -383,6 +421,8 @@ class TapeArrays:
         is_copied = held.launched is not held.array
         on_host = isinstance(array, np.ndarray) and version is None
         self._launcher.note_taped_array(value, key[0], key[1], -1 if version is None else version)
+        if isinstance(array, np.ndarray) and not array.flags.c_contiguous:
+            self._launcher.note_taped_memory(*_range_of(array)[:2])
         if on_host:
             self._look_at_sample(key, held)
         if held.is_written:
@@ -493,6 +533,7 @@ class TapeArrays:
 
         A launch that got a copy of a constant array forbids nothing.
         """
+        self._learn()
         for frozen in self._frozen.values():
             if has_gradient and overlap(frozen.held.array, array):
                 return frozen.held.what
@@ -501,13 +542,23 @@ class TapeArrays:
                 return held.what
         return None
 
+    def of_streams(self) -> list[device_arrays.DeviceArray]:
+        """Returns a GPU array of each library."""
+        tensor = None if self.streams or not self._noted else self._noted.on_device()
+        if tensor is not None:
+            array: Any = device_arrays.as_device_array(tensor)
+            self.streams[array.library] = array
+        return list(self.streams.values())
+
     @property
     def restores(self) -> bool:
         """Whether a reverse sweep restores contents of arrays."""
+        self._learn_changes()
         return bool(self._restored)
 
     def copy_restored(self) -> list[Any]:
         """Returns copies of the arrays whose contents a sweep restores."""
+        self._learn_changes()
         return [_copy_of(array) for array in self._restored.values()]
 
     def check_versions(self) -> None:
@@ -517,6 +568,7 @@ class TapeArrays:
         Raises:
             TaiRuntimeError: torch or Python has changed one since.
         """
+        self._learn_changes()
         for tensor, version in self._tensors.values():
             if _version(tensor) != version:
                 raise TaiRuntimeError(
@@ -531,6 +583,7 @@ class TapeArrays:
         """Called when the launches run forward again: from then on, the present contents of arrays
         and tensors count.
         """
+        self._learn()
         for entry in self._tensors.values():
             entry[1] = _version(entry[0])
         for frozen in self._frozen.values():
@@ -546,6 +599,7 @@ class TapeArrays:
 
         One that torch has forgotten, as its optimisers do, begins with zeros again.
         """
+        self._learn_changes()
         for tensor, gradient in self._gradients.values():
             now = tensor.grad
             if now is None:
