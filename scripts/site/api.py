@@ -68,7 +68,7 @@ PAGES = (
             "cos cosh erf erfc exp floor hypot log log10 max min pow round rsqrt sin sinh sqrt tan "
             "tanh trunc",
             "Choices and logic": "select logical_and logical_or logical_not",
-            "Types and bits": "cast bit_cast bit_shr raw_div raw_mod zero one",
+            "Types and bits": "cast bit_cast bit_shr frexp raw_div raw_mod zero one",
             "Random numbers": "random randn",
             "Gradients": "stop_grad",
         },

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
 from typing import Any
 
@@ -52,7 +53,23 @@ def current_cfg() -> Options:
     return state.options
 
 
+def get_cuda_compute_capability() -> int:
+    """Returns the compute capability of the first GPU, such as 90 for 9.0; 0 without a GPU."""
+    try:
+        cuda = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return 0
+    device, numbers = ctypes.c_int(), (ctypes.c_int(), ctypes.c_int())
+    if cuda.cuInit(0) != 0 or cuda.cuDeviceGet(ctypes.byref(device), 0) != 0:
+        return 0
+    # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR and _MINOR
+    for attribute, number in zip((75, 76), numbers, strict=True):
+        if cuda.cuDeviceGetAttribute(ctypes.byref(number), attribute, device) != 0:
+            return 0
+    return 10 * numbers[0].value + numbers[1].value
+
+
 __all__ = [
-    "Runtime", "current_cfg", "field", "get_runtime", "grouped", "ndarray", "ndrange", "root",
-    "static",
+    "Runtime", "current_cfg", "field", "get_cuda_compute_capability", "get_runtime", "grouped",
+    "ndarray", "ndrange", "root", "static",
 ]  # fmt: skip
