@@ -115,7 +115,7 @@ void Gradients::clearTangents() {
 bool Gradients::clearLater(const FieldPtr &field, const Recorder *tape) {
   if (!tape || !field->isStoredFirst() || !skips.has(Skip::UnreadZeros) ||
       recordings.isForward() || field->tree().mirror() ||
-      field->tree().isExported() || field->isDirtiedByOther())
+      field->tree().wasLent() || field->isDirtiedByOther())
     return false;
   auto zeros = std::make_shared<OwedZeros>();
   zeros->boxes.push_back(

@@ -157,8 +157,11 @@ Status Launcher::runTangent(Launch &launch, Kernel &kernel,
   if (tangentFlows)
     tangentFlows->launch(kernel, args);
   takeOverTangents(kernel);
-  if (countsWrites.load(std::memory_order_relaxed))
+  if (countsWrites.load(std::memory_order_relaxed)) {
     countWrites(kernel);
+    // The tangents that the launch writes are not in the summary.
+    noteUnknownWrites();
+  }
   if (tangent == &kernel)
     return runCode(launch, kernel, args, results, number);
   if (!kernel.bound.sparseNodes.empty() && !launch.given)

@@ -1,5 +1,6 @@
 """Gradients that a sweep stores before it reads them are not cleared: the same bits."""
 
+import ctypes
 import os
 
 import numpy as np
@@ -164,6 +165,22 @@ def test_everyone_who_looks_finds_zeros():
         with pytest.raises(ZeroDivisionError), ti.ad.Tape(loss):
             1 / 0  # noqa: B018
         assert not look().any()
+
+
+def test_whoever_has_an_address_finds_zeros():
+    """A gradient that a program reads and writes by its address is cleared, and added to."""
+    ti.init(offline_cache=False)
+    loss, (x, *_), launches = scenes(ti.f32)
+    kind = ctypes.POINTER(ctypes.c_float)
+    at = ctypes.cast(x.grad.core.address((0,)), kind) if ON_CPU else None
+    for number in range(4):
+        with ti.ad.Tape(loss):
+            launches["total"]()
+            if ON_CPU:
+                assert at[7] == 0.0
+                at[7] = 10.0
+        assert x.grad[7] == (11.0 if ON_CPU else 1.0), number
+    assert counts()["fields_stored_first"] == 0
 
 
 def test_a_seed_of_the_program_is_kept():

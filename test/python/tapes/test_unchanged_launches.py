@@ -126,6 +126,33 @@ def test_every_write_counts(write):
     np.testing.assert_allclose(scene.h.to_numpy(), expected, rtol=1e-5)
 
 
+def test_tangents_that_a_kernel_reads_as_values():
+    """Forward mode changes the tangents that a launch has read."""
+    scene = Scene()
+    x, h, w, loss = scene.x, scene.h, scene.w, scene.loss
+
+    @ti.kernel
+    def square():
+        for i in x:
+            h[i] = x[i] * x[i]
+
+    @ti.kernel
+    def use():
+        for i in w:
+            w[i] = 2.0 * h.dual[i]
+
+    for seed in (1.0, 3.0):
+        with ti.ad.FwdMode(loss=h, param=x, seed=[seed] * N, clear_gradients=seed == 1.0):
+            square()
+        for _ in range(2):
+            with ti.ad.Tape(loss, incremental=True):
+                use()
+                scene.weigh()
+        expected = 2.0 * h.dual.to_numpy()
+        assert expected[0] == -4.0 * seed
+        np.testing.assert_array_equal(w.to_numpy(), expected)
+
+
 def test_memory_that_was_lent_is_never_known():
     scene = Scene()
     np.from_dlpack(scene.x)

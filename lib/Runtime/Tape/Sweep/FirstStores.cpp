@@ -51,7 +51,7 @@ void AdjointSet::addUses(const Kernel &kernel, const Kernel *adjoint) {
 /// sweep of this thread, whose first launch stores it.
 bool FirstStores::mayStore(const Field &adjoint) const {
   return adjoint.dirtiedBy() == 0 && !adjoint.sparseNode() &&
-         !adjoint.tree().isExported() && !adjoint.tree().mirror() &&
+         !adjoint.tree().wasLent() && !adjoint.tree().mirror() &&
          adjoint.holds.holder.load(std::memory_order_acquire) == threadNumber();
 }
 
