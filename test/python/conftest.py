@@ -94,6 +94,10 @@ def pytest_configure(config):
         # `ti.init` looks here first.
         os.environ["TI_ARCH"] = "cuda" if arch == "emulated" else arch
         os.environ["TAI_CUDA_EMULATION"] = "1" if arch == "emulated" else ""
+    # JAX computes where the kernels do, and leaves GPU memory to the other workers.
+    if arch != "cuda":
+        os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
 @pytest.hookimpl(wrapper=True)

@@ -366,6 +366,7 @@ def _only(*kept):
     ids=["all", "functions", "struct"],
 )
 def test_autoreload_in_a_notebook(tmp_path, text, changes, options):
+    pytest.importorskip("IPython", reason="IPython is not installed: pip install ipython")
     script = NOTEBOOK.replace("{texts!r}", repr(text)).replace("{options!r}", repr(options))
     done = subprocess.run(
         [sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, timeout=300,

@@ -22,8 +22,9 @@ class NoAttribute(TaiTypeError, AttributeError):
 
     # As tracebacks name it: the public class.
     __module__, __qualname__ = TaiTypeError.__module__, TaiTypeError.__qualname__
-    # Tracebacks of Python 3.13 would add a suggestion of their own behind the hint.
-    name = None
+    # Python 3.12 and later set the name when an attribute is not found, and their tracebacks then
+    # add a suggestion of their own behind the hint.
+    name = property(lambda self: None, lambda self, name: None)
 
 
 class Value:
