@@ -94,7 +94,7 @@ if args.check:
     at, small = (0, N // 2, N // 2 - 1), 1e-4
     slope = u.grad[at]
     value = u[at]
-    sides = []
+    sides: list[float] = []
     for sign in (1, -1):
         u[at] = value + sign * small
         sides.append(run())

@@ -163,7 +163,7 @@ def measure(at_x: float, at_y: float):
     loss[None] = (x[HEIGHT - 1] - ti.Vector([at_x, at_y])).norm_sqr()
 
 
-def search(number, everything=False):
+def search(number: int, everything: bool = False) -> None:
     with ti.ad.no_grad():
         sort()
         find_islands(number, int(everything or args.awake))
@@ -192,7 +192,7 @@ def settle():
     return x.to_numpy()
 
 
-def run(rest, frames=None):
+def run(rest: Any, frames: list[Any] | None = None) -> int:
     """One throw from the state of rest; the balls that were awake at most."""
     x.from_numpy(rest)
     v.fill(0.0)
@@ -212,7 +212,7 @@ def run(rest, frames=None):
     return count.to_numpy()[: STEPS // EVERY].max()
 
 
-def check(rest):
+def check(rest: Any) -> None:
     run(rest)
     slope = start.grad[None].to_numpy()
     found = np.zeros(2)
@@ -226,10 +226,11 @@ def check(rest):
     print(f"check    gradient differs by {np.abs(slope - found).max() / np.abs(found).max():.2e}")
 
 
-def draw(gui, places, listed, number):
+def draw(gui: ti.GUI, places: Any, listed: Any, number: int) -> None:
     """Awake balls are blue."""
     scale = 1 / (6 * GAP)
-    moving = np.isin(np.arange(N), listed[:number])
+    moving = np.zeros(N, dtype=bool)
+    moving[listed[:number]] = True
     for group, color in ((~moving, studio.SOFT), (moving, studio.BLUE)):
         if group.any():
             gui.circles(
@@ -242,7 +243,8 @@ def main():
     start[None] = [6.0, 0.5]
     if args.check:
         check(rest)
-    losses = []
+    losses: list[float] = []
+    most = 0
     began = time.perf_counter()
     for _ in ti.tools.Progress(range(args.iterations), "sleeping"):
         most = run(rest)
@@ -256,7 +258,7 @@ def main():
     frames: list[Any] = []
     run(rest, frames)
     gui = ti.GUI("sleeping", res=(480, 480), background_color=studio.PAPER)
-    pictures = []
+    pictures: list[Any] = []
     for places, listed, number in frames:
         draw(gui, places, listed, number)
         pictures.append(gui.picture())

@@ -11,7 +11,7 @@ import re
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from . import lines, simulators
 from .lab import Failed, Lab, usual
@@ -32,7 +32,8 @@ def lengths(lab: Lab) -> None:
         "area 0.2, 200 steps": (("--target", 0.2), (0.858, 0.858, 0.762)),
         "area 0.1, a wall, 25 steps": (("--wall",), (0.650, 0.731, 0.676)),
     }
-    rows, curves = [], {}
+    rows: list[list[Any]] = []
+    curves: dict[str, Any] = {}
     for number, (name, (options, expected)) in enumerate(variants.items()):
         count = 200 if "200" in name else 25
         run = lab.run("mass_spring_simple", *options, label=str(number), iterations=count)
@@ -55,7 +56,7 @@ def _vector(numbers: list[float] | tuple[float, ...]) -> str:
 def toi(lab: Lab) -> None:
     run = lab.run("rigid_body_toi", pictures=True)
     columns = run.table("heights")
-    rows = []
+    rows: list[list[Any]] = []
     for way, label, known in (("naive", "naive", 1.0), ("toi", "with time of impact", -1.0)):
         slopes = columns[f"{way} by y"]
         worst = max(abs(slope - known) for slope in slopes)
@@ -76,11 +77,11 @@ def toi_curves(lab: Lab) -> None:
         ("mass_spring", 2, lab.pick(1, 20, 100), -0.212226),
         ("rigid_body", 1, lab.pick(1, 10, 20), 0.752810),
     ]
-    rows = []
+    rows: list[list[Any]] = []
     for name, robot, count, first in scenes:
-        curves = {}
+        curves: dict[str, list[list[float]]] = {}
         for option, label in (("--toi", "with time of impact"), ("--no-toi", "without")):
-            losses = []
+            losses: list[list[float]] = []
             for seed in range(seeds):
                 words = ("--robot", robot, option, "--seed", seed)
                 where = f"{name}{robot}{option}-{seed}"
@@ -105,7 +106,7 @@ def toi_curves(lab: Lab) -> None:
 def flat(lab: Lab) -> None:
     samples = lab.pick(40, 400, 1000)
     run = lab.run("billiards", "--scan", "--samples", samples, pictures=True)
-    rows = []
+    rows: list[list[Any]] = []
     for part, share, least in (("1", 0.852, 0.02172), ("0.23", 0.356, 0.02130)):
         columns = run.table(f"scan_{part}")
         miss = 0.066089  # the distance of the last ball from the pocket, squared
@@ -134,7 +135,7 @@ def discontinuity(lab: Lab) -> None:
         "x": ((0.290623, 0.290623), (0.30545, 0.40093)),
         "y": ((0.29806, 0.29806), (0.44557, 0.40340)),
     }
-    rows = []
+    rows: list[list[Any]] = []
     for axis, known in ends.items():
         run = lab.run("rigid_body_discontinuity", "--loss", axis, label=axis, pictures=True)
         columns = run.table("ends")
@@ -199,10 +200,10 @@ def compiling(lab: Lab) -> None:
     a filled cache.
     """
     scenes = [("smoke", 8), ("rigid_body", 64), ("diffmpm", 16), ("diffmpm3d", 8), ("liquid", 8)]
-    rows = []
+    rows: list[list[Any]] = []
     for name, steps in scenes[: lab.pick(1, 5, 5)]:
         with tempfile.TemporaryDirectory() as folder:
-            took = []
+            took: list[Any] = []
             for label in ("cold", "warm"):
                 where = f"{name}-{label}"
                 run = lab.run(name, "--steps", steps, label=where, iterations=3, cache=Path(folder))
@@ -233,7 +234,8 @@ def checkpointing(lab: Lab) -> None:
         "tape": "in place, the tape saves",
         "budget": "in place, within 50 MB",
     }
-    rows, slopes = [], {}
+    rows: list[list[Any]] = []
+    slopes: dict[str, Any] = {}
     for scheme, fields, tape, seconds, loss, *slope in found:
         rows.append([names[scheme], fields, tape, float(fields) + float(tape), seconds, loss])
         slopes[scheme] = tuple(map(float, slope))
@@ -250,7 +252,7 @@ def explosion(lab: Lab) -> None:
     run = lab.run("gradient_explosion", pictures=True, label="growth")
     columns = run.table("growth")
     known = {0: (450.775, 142444), 1: (336.602, 0), 3: (212.144, 0), 10: (85.3762, 7566.1)}
-    rows = []
+    rows: list[list[Any]] = []
     for alpha, (by_push, by_decay) in known.items():
         push, decay = (columns[f"by {what}, alpha {alpha}"][-1] for what in ("push", "decay"))
         lab.near(push, by_push, 1e-4, f"the derivative by the push, alpha {alpha}")
@@ -274,7 +276,7 @@ def explosion(lab: Lab) -> None:
 
 
 def line_counts(lab: Lab) -> None:
-    rows = []
+    rows: list[list[Any]] = []
     for name, count, code in lines.counts(lab.examples):
         rows.append([f"`{name}.py`", count, lines.PAPER.get(name, ""), code])
     lab.check(bool(rows), f"no simulators in {lab.examples}")

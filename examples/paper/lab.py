@@ -48,7 +48,7 @@ class Result:
     load: float = 0.0  # of the machine, when it was done
     machine: str = ""  # processor and GPU
     cores: int = 1  # that processes were allowed
-    blocks: list[list[Any]] = field(default_factory=list)
+    blocks: list[list[Any]] = field(default_factory=list[list[Any]])
 
 
 @dataclass
@@ -155,7 +155,7 @@ class Lab:
             if status < 0:
                 reason = f"ended by signal {signal.Signals(-status).name}"
             raise Failed(f"{words}: {reason}")
-        tapes = json.loads(times.read_text()) if timed else []
+        tapes: list[Any] = json.loads(times.read_text()) if timed else []
         return Run(name, folder, output, [(a, b) for a, b in tapes])
 
     @staticmethod

@@ -12,6 +12,7 @@ from __future__ import annotations
 import ast
 import io
 import tokenize
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ def _span(node: ast.stmt | ast.expr) -> set[int]:
 
 def names_of(node: ast.AST) -> set[str]:
     """Returns the names of functions, methods and values in a syntax tree."""
-    found = set()
+    found: set[str] = set()
     for part in ast.walk(node):
         if isinstance(part, ast.Name):
             found.add(part.id)
@@ -51,7 +52,7 @@ def names_of(node: ast.AST) -> set[str]:
     return found
 
 
-def text_of(nodes: list) -> str:
+def text_of(nodes: Iterable[ast.AST]) -> str:
     """Returns the source text of some syntax nodes."""
     return " ".join(map(ast.unparse, nodes))
 
@@ -65,7 +66,7 @@ def recorded(tree: ast.Module) -> set[str]:
     """The names of functions that tapes record, also if a kernel is chosen before or passed as an
     argument.
     """
-    found = set()
+    found: set[str] = set()
     for function in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)):
         names = {name for node in ast.walk(function) if is_tape(node) for name in names_of(node)}
         if not names:
@@ -112,7 +113,7 @@ def essential(source: str) -> set[int]:
             taken.add(name)
             waiting += names_of(functions[name])
             waiting += [n for n, f in functions.items() if is_gradient_of(f, name)]
-    nodes: list = [functions[name] for name in taken]
+    nodes: list[Any] = [functions[name] for name in taken]
     bodies: list[Any] = [tree, *(n for n in ast.walk(tree) if isinstance(n, ast.ClassDef))]
     bodies += [f for n, f in functions.items() if n == "__init__"]
     nodes += [node for body in bodies for node in body.body if makes_field(node)]
@@ -125,7 +126,7 @@ def essential(source: str) -> set[int]:
 
 def counts(examples: Path) -> list[tuple[str, int, int]]:
     """Name, essential lines and lines of code of each simulator in a folder."""
-    found = []
+    found: list[tuple[str, int, int]] = []
     for path in sorted(examples.glob("*.py")):
         source = path.read_text()
         count = len(essential(source))

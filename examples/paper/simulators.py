@@ -124,7 +124,8 @@ def mass_spring(lab: Lab) -> None:
         3: {0: -0.227929, 1: -0.246183},
     }
     count = lab.pick(1, 30, 100)
-    rows, curves = [], {}
+    rows: list[list[Any]] = []
+    curves: dict[str, Any] = {}
     for robot in lab.pick((1,), (1, 2, 3), (1, 2, 3)):
         run = _descent(
             lab, "mass_spring", "--robot", robot, iterations=count, known=firsts[robot], rel=1e-3,
@@ -152,7 +153,8 @@ def rigid_body(lab: Lab) -> None:
         1: {0: 0.75281, 1: 0.744555, 19: 0.464376},
         2: {0: 0.586751, 1: 0.547042, 19: 0.33569},
     }
-    rows, curves = [], {}
+    rows: list[list[Any]] = []
+    curves: dict[str, Any] = {}
     for robot in lab.pick((1,), (1, 2), (1, 2)):
         known = firsts[robot]
         first = {number: known[number] for number in (0, 1)}
@@ -202,7 +204,7 @@ def electric(lab: Lab) -> None:
     )
     ours = _descent(lab, "electric", iterations=count, known={}, rel=0, label="before")
     names = ("as published", "sees the slot before, right gradient")
-    rows = []
+    rows: list[list[Any]] = []
     for name, run in zip(names, (published, ours), strict=True):
         tail = run.losses[-50:]
         rows.append([name, run.losses[0], count, sum(tail) / len(tail)])
