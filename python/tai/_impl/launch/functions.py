@@ -156,7 +156,8 @@ def _make_function(function: Callable[..., Any], in_python: bool) -> Callable[..
             return wrapper._tai_func.function(*args, **kwargs)  # type: ignore[attr-defined]
         raise TaiSyntaxError(
             f"function '{function.__name__}' can be called in kernels only",
-            "decorate it with @ti.pyfunc to call it from Python too",
+            "call it from a function with @ti.kernel; or decorate it with @ti.pyfunc to call it "
+            "from Python too",
         )
 
     info = FunctionInfo(function)
