@@ -365,7 +365,11 @@ def main() -> int:
                 continue
             reference = Path(work) / scene / "0.npz"
             if scene in cases.EXAMPLES:
-                keep(scene, args.size, reference, work, args.timeout)
+                try:
+                    keep(scene, args.size, reference, work, args.timeout)
+                except subprocess.TimeoutExpired:
+                    print(f"{scene}: no reference in {args.timeout:.0f} s", file=sys.stderr)
+                    continue
             for error in wanted:
                 row = call(scene, error, args, reference, work)
                 if row is not None:
