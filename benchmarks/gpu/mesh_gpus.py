@@ -5,13 +5,15 @@
 Each process first runs scenes of test/python/ranks alone and then together with the others. Then
 it times a wave, a smoke solver and material points, forward and backward: on one GPU, with the same
 size on all GPUs (strong scaling), and with as many rows for each GPU as one has alone (weak
-scaling).
+scaling). "host" is the time until the forward run is queued. The part `jax` runs the wave and the
+smoke of mesh_jax.py on the same GPUs.
 """
 
 import argparse
 import gc
 import os
 import statistics
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -28,12 +30,13 @@ parser.add_argument("--particles", type=int, default=1 << 24, help="material poi
 parser.add_argument("--steps", type=int, default=8, help="time steps (8)")
 parser.add_argument("--repeat", type=int, default=5, help="timed runs (5)")
 args = parser.parse_args()
+ALL_GPUS = os.environ.get("CUDA_VISIBLE_DEVICES")
 os.environ["TI_ARCH"] = "cpu" if args.arch == "cpu" else "cuda"
 if args.arch == "emulated":
     os.environ["TAI_CUDA_EMULATION"] = "1"
 elif args.arch == "cuda" and "LOCAL_RANK" in os.environ:
     # Before anything opens CUDA.
-    listed = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
+    listed = (ALL_GPUS or "").split(",")
     local = int(os.environ["LOCAL_RANK"])
     os.environ["CUDA_VISIBLE_DEVICES"] = listed[local] if len(listed) > 1 else str(local)
 
@@ -96,7 +99,7 @@ def test() -> int:
     return bad + (not equal)
 
 
-def wave(together: bool, n: int, m: int) -> Callable[[], tuple[float, float]]:
+def wave(together: bool, n: int, m: int) -> Callable[[], tuple[float, float, float]]:
     """A wave on n×m points, of which all steps are kept."""
     steps = args.steps
     start(together)
@@ -134,7 +137,7 @@ def wave(together: bool, n: int, m: int) -> Callable[[], tuple[float, float]]:
     return timed(loss, run)
 
 
-def smoke(together: bool, n: int, m: int) -> Callable[[], tuple[float, float]]:
+def smoke(together: bool, n: int, m: int) -> Callable[[], tuple[float, float, float]]:
     """Smoke on n×m cells: advection up to 4 rows, 10 steps of Jacobi for the pressure."""
     start(together)
     reach = 4
@@ -207,7 +210,7 @@ def smoke(together: bool, n: int, m: int) -> Callable[[], tuple[float, float]]:
     return timed(loss, run)
 
 
-def mpm(together: bool, n: int, count: int) -> Callable[[], tuple[float, float]]:
+def mpm(together: bool, n: int, count: int) -> Callable[[], tuple[float, float, float]]:
     """`count` material points on a grid of n×n cells, 8 to a cell."""
     start(together)
     m = max(64, count // (8 * n))
@@ -301,10 +304,10 @@ def mpm(together: bool, n: int, count: int) -> Callable[[], tuple[float, float]]
     return timed(loss, run)
 
 
-def timed(loss: Any, run: Callable[[], None]) -> Callable[[], tuple[float, float]]:
-    """A function that returns the seconds of a run, forward and backward."""
+def timed(loss: Any, run: Callable[[], None]) -> Callable[[], tuple[float, float, float]]:
+    """A function that returns the seconds of a run: forward, backward, and queueing forward."""
 
-    def once() -> tuple[float, float]:
+    def once() -> tuple[float, float, float]:
         TRANSPORT.all_gather(np.zeros(1))
         loss[None] = 0
         loss.grad[None] = 1
@@ -312,20 +315,21 @@ def timed(loss: Any, run: Callable[[], None]) -> Callable[[], tuple[float, float
         tape = ti.ad.Tape(loss)
         tape.__enter__()
         run()
+        queued = time.perf_counter()
         ti.sync()
         middle = time.perf_counter()
         tape.__exit__(None, None, None)
         ti.sync()
-        return middle - begin, time.perf_counter() - middle
+        return middle - begin, time.perf_counter() - middle, queued - begin
 
-    def measured() -> tuple[float, float]:
+    def measured() -> tuple[float, float, float]:
         once()
         found = [once() for _ in range(args.repeat)]
         ways = [statistics.median(way) for way in zip(*found, strict=True)]
         # The slowest rank.
         most = np.array(ways)
         TRANSPORT.all_reduce(most, "max")
-        return float(most[0]), float(most[1])
+        return float(most[0]), float(most[1]), float(most[2])
 
     return measured
 
@@ -343,11 +347,29 @@ def time_scene(name: str, make: Callable, size: tuple[int, int], weak: tuple[int
             return
         counts = rank_particles.mesh_counts() if together else ""
         say(f"{name} {label} {shape}: forward {1e3 * found[label][0]:.2f} ms, "
-            f"backward {1e3 * found[label][1]:.2f} ms {counts}")  # fmt: skip
+            f"backward {1e3 * found[label][1]:.2f} ms, host {1e3 * found[label][2]:.2f} ms "
+            f"{counts}")  # fmt: skip
         ti.reset()
         gc.collect()
-    one, strong, weak_time = (sum(found[key]) for key in ("one", "strong", "weak"))
+    one, strong, weak_time = (sum(found[key][:2]) for key in ("one", "strong", "weak"))
     say(f"{name}: strong scaling {one / (WORLD * strong):.1%}, weak {one / weak_time:.1%}")
+
+
+def run_jax() -> None:
+    """Runs the same scenes in JAX, one process with all GPUs, while the other ranks wait."""
+    if RANK == 0:
+        environment = dict(os.environ)
+        if args.arch == "cuda":
+            environment.pop("CUDA_VISIBLE_DEVICES", None)
+            if ALL_GPUS is not None:
+                environment["CUDA_VISIBLE_DEVICES"] = ALL_GPUS
+        command = [sys.executable, str(Path(__file__).with_name("mesh_jax.py"))]
+        for name in ("wave", "smoke", "steps", "repeat"):
+            command += [f"--{name}", str(getattr(args, name))]
+        command += ["--devices", str(WORLD), *(["--cpu"] if args.arch != "cuda" else [])]
+        done = subprocess.run(command, env=environment, timeout=280, check=False)
+        say(f"jax ended with {done.returncode}" if done.returncode else "jax done")
+    TRANSPORT.all_gather(np.zeros(1))
 
 
 def main() -> None:
@@ -362,6 +384,8 @@ def main() -> None:
     if "mpm" in parts:
         n = 16 * max(16, int((args.particles / 8) ** 0.5) // 16)
         time_scene("mpm", mpm, (n, args.particles), (n * WORLD, args.particles * WORLD))
+    if "jax" in parts:
+        run_jax()
     say("done" if not bad else f"{bad} scenes differ")
     ti.reset()
     torch_ranks.dist.barrier()

@@ -27,8 +27,9 @@ extern "C" {
 /// `rows`, if it is not negative, is divided among the ranks. `where` is the
 /// location of the access that needs the exchange, "file:line:col"; `kernel` is
 /// the name of the kernel that is launched. If `on_device` is not 0, `address`
-/// is memory of the GPU, which has done all earlier work; the handler returns
-/// when its own work there is done.
+/// is memory of the GPU: the default stream of the GPU waits for all earlier
+/// work, and later work for the default stream, on which the handler queues its
+/// own.
 typedef struct TaiExchange {
   const char *kind, *field, *kernel, *where;
   int64_t element, digest, block, before, after;

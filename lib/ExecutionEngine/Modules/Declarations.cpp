@@ -9,7 +9,10 @@
 #include "mlir/AsmParser/AsmParser.h"
 #include "mlir/IR/DialectResourceBlobManager.h"
 #include "mlir/IR/Verifier.h"
+#include "tai/Dialect/Mesh/IR/Mesh.h"
 #include "tai/ExecutionEngine/Modules/ModuleFile.h"
+#include "tai/Runtime/Launch/Mesh.h"
+#include "tai/Runtime/Mirror/Mirror.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringSet.h"
 
@@ -311,6 +314,15 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   runtime::FieldPtr made;
   if (failed(failures.check(rt.store().addField(std::move(info), made))))
     return failure();
+  if (runtime::Mirror *mirror = made->tree().mirror()) {
+    std::optional<Sharding> sharding = getSharding(*layout);
+    std::optional<int64_t> rank = runtime::rankOfProcess();
+    std::optional<runtime::OwnedIndices> part;
+    if (sharding && rank && sharding->ranks > 1)
+      part = {static_cast<int>(sharding->dimension), *rank * sharding->block,
+              sharding->block};
+    mirror->noteField(*made, part);
+  }
   // Kernels see the declaration without its initial contents, on which no
   // kernel depends.
   FieldOp declaration = field.clone();

@@ -7,8 +7,10 @@
 
 #include "tai/Runtime/Device/DeviceReport.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Runtime/Device/FailureNotice.h"
 #include "tai/Runtime/Text/Format.h"
 #include <algorithm>
+#include <atomic>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
@@ -161,4 +163,15 @@ Status mlir::tai::runtime::readDeviceReport(const TaiDeviceState &state,
   report.failure =
       Status::failure(code, failure.format(), std::move(failure.where));
   return Status::success();
+}
+
+static std::atomic<FailureNotice> noticeOfProcess{nullptr};
+
+void mlir::tai::runtime::setFailureNotice(FailureNotice notice) {
+  noticeOfProcess.store(notice, std::memory_order_release);
+}
+
+void mlir::tai::runtime::noticeDeviceFailure(const std::string &message) {
+  if (FailureNotice notice = noticeOfProcess.load(std::memory_order_acquire))
+    notice(message);
 }

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ABI/MeshAbi.h"
+#include "tai/Runtime/Device/FailureNotice.h"
 #include "tai/Runtime/Launch/Kernel.h"
 #include "tai/Runtime/Launch/Launch.h"
 #include "tai/Runtime/Launch/Mesh.h"
@@ -24,7 +25,11 @@ using namespace mlir::tai::runtime;
 static Mesh ofProcess;
 static std::atomic<int64_t> leftOut{0};
 
-void mlir::tai::runtime::setMesh(Mesh mesh) { ofProcess = std::move(mesh); }
+void mlir::tai::runtime::setMesh(Mesh mesh) {
+  ofProcess = std::move(mesh);
+  setFailureNotice(
+      [](const std::string &failure) { tellRanks(failure, "", ""); });
+}
 
 std::optional<int64_t> mlir::tai::runtime::rankOfProcess() {
   if (ofProcess.ranks == 0)
@@ -41,6 +46,9 @@ static constexpr const char *kKinds[] = {"fetch", "clear",  "collect",
 
 static constexpr size_t kFetch = 0, kStale = 8;
 
+/// The stream of a GPU on which handlers queue their work.
+static constexpr uint64_t kDefaultStream = 0;
+
 /// True for launches of a reverse sweep or a replay, between which a tape may
 /// restore former rows.
 static bool isOfSweep(const Launch &launch) {
@@ -50,10 +58,18 @@ static bool isOfSweep(const Launch &launch) {
   return !tape || tape->isSuspended();
 }
 
+/// The last launch of the thread that has asked for the rank, with its number.
+static thread_local std::pair<const Launch *, uint64_t> lastOnRanks;
+
+bool mlir::tai::runtime::isOnRanks(const Launch &launch) {
+  return lastOnRanks.first == &launch && lastOnRanks.second == launch.launch;
+}
+
 extern "C" int64_t tai_rt_rank(TaiFrame *frame, int64_t ranks,
                                const char *where) {
   Launch &launch = launchOf(frame);
   const Mesh &mesh = ofProcess;
+  lastOnRanks = {&launch, launch.launch};
   if (isOfSweep(launch))
     launch.owner().halos().removeAll();
   if (mesh.ranks == ranks)
@@ -98,25 +114,31 @@ static bool select(const TaiExchangePlan &plan, const int64_t *at, char *tree,
   return true;
 }
 
+void mlir::tai::runtime::tellRanks(const std::string &failure,
+                                   const std::string &kernel,
+                                   const char *where) {
+  const Mesh &mesh = ofProcess;
+  if (!mesh.exchange || mesh.ranks < 2)
+    return;
+  Exchange told{};
+  told.kind = "fail";
+  told.field = failure.c_str();
+  told.kernel = kernel.c_str();
+  told.where = where;
+  told.rows = -1;
+  (void)mesh.exchange(told);
+}
+
 /// Tells the other ranks, which wait in the exchange, that the launch has
 /// failed on this one.
 static void tellOfFailure(Launch &launch, const char *where) {
-  const Mesh &mesh = ofProcess;
-  if (!mesh.exchange)
-    return;
   std::string message;
   {
     std::lock_guard<std::mutex> lock(launch.failureMutex);
     message = launch.failure.message();
   }
   const Kernel *kernel = launch.running.load(std::memory_order_relaxed);
-  Exchange failure{};
-  failure.kind = "fail";
-  failure.field = message.c_str();
-  failure.kernel = kernel ? kernel->name().c_str() : "";
-  failure.where = where;
-  failure.rows = -1;
-  (void)mesh.exchange(failure);
+  tellRanks(message, kernel ? kernel->name() : "", where);
 }
 
 extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
@@ -162,18 +184,23 @@ extern "C" void tai_rt_exchange(TaiFrame *frame, void *tree,
     // The other kinds write halos, except those of fields that each rank has.
     if (kind != kFetch)
       halos.remove(halo.field);
+    DeviceQueue *queue = nullptr;
     if (launch.onDevice && launch.onDevice->code) {
-      // The handler reads the results of the launches so far.
+      // The handler's work comes after the launches so far, on the default
+      // stream, and before the later ones.
       exchange.isOnDevice = true;
-      Status done = launch.onDevice->context->queue().synchronize();
-      if (!done)
-        return launch.fail(std::move(done));
+      queue = &launch.onDevice->context->queue();
+      if (Status status = queue->letStreamWait(kDefaultStream); !status)
+        return launch.fail(std::move(status));
     }
     const Mesh &mesh = ofProcess;
     std::string message = mesh.exchange
                               ? mesh.exchange(exchange)
                               : "the process belongs to no mesh, and the "
                                 "launch exchanges rows of a sharded field";
+    if (queue)
+      if (Status status = queue->waitForStream(kDefaultStream); !status)
+        return launch.fail(std::move(status));
     if (!message.empty())
       launch.fail(Status::failure(StatusCode::Usage, message, where));
     else if (kind == kFetch && maySkip)

@@ -9,6 +9,7 @@
 #include "TangentFlows.h"
 #include "tai/Runtime/Host/ExportedBuffer.h"
 #include "tai/Runtime/Launch/Launch.h"
+#include "tai/Runtime/Launch/Mesh.h"
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
@@ -61,10 +62,14 @@ Status Launcher::ready(Kernel &kernel) {
 }
 
 Status Launcher::failureOf(Launch &launch, const Kernel &kernel) {
-  if (launch.hasFailed())
-    return launch.takeFailure();
-  return Status::failure(StatusCode::Internal,
-                         "kernel '" + kernel.name() + "' failed");
+  Status status =
+      launch.hasFailed()
+          ? launch.takeFailure()
+          : Status::failure(StatusCode::Internal,
+                            "kernel '" + kernel.name() + "' failed");
+  if (isOnRanks(launch))
+    tellRanks(status.message(), kernel.name(), "");
+  return status;
 }
 
 /// Selects the fields in the trees of the kernel, and the gradients of its

@@ -7,6 +7,7 @@
 
 #include "tai/Runtime/Mirror/DeviceContext.h"
 #include "tai/Runtime/Device/DeviceReport.h"
+#include "tai/Runtime/Device/FailureNotice.h"
 #include "tai/Runtime/Text/Format.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
@@ -272,6 +273,8 @@ Status DeviceContext::report() {
     return Status::failure(StatusCode::Interrupted,
                            "a kernel was interrupted by another thread: what "
                            "it has computed is not complete");
+  if (!report.failure)
+    noticeDeviceFailure(report.failure.message());
   return std::move(report.failure);
 }
 

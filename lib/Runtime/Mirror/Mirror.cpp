@@ -14,6 +14,7 @@
 #include "tai/Runtime/Mirror/OwedZeros.h"
 #include "tai/Runtime/Mirror/Slabs.h"
 #include "tai/Runtime/Storage/Scalars.h"
+#include "tai/Runtime/Text/Format.h"
 #include <algorithm>
 #include <cstring>
 
@@ -29,6 +30,84 @@ Mirror::~Mirror() {
     deviceContext->free(memory);
 }
 
+/// The bytes from the first element of a field to the end of the last one.
+static int64_t spanOf(const Field &field) {
+  const FieldLayout &layout = field.layout();
+  int64_t bytes = (field.numComponents() - 1) * layout.componentStride +
+                  byteSize(field.scalar());
+  for (const std::vector<LayoutLevel> &levels : layout.indices)
+    for (const LayoutLevel &level : levels)
+      bytes += (level.extent - 1) * level.stride;
+  return bytes;
+}
+
+void Mirror::noteField(const Field &field, std::optional<OwnedIndices> part) {
+  Pieces pieces{field.layout().placeOffset, spanOf(field), 0, 1};
+  if (int64_t step = field.evenStep(); part && step != 0) {
+    int64_t inner = step;
+    for (int d = part->dimension + 1; d < field.rank(); ++d)
+      inner *= field.shape()[d];
+    int64_t period = inner * field.shape()[part->dimension];
+    pieces.first += part->first * inner;
+    pieces.bytes = part->count * inner;
+    pieces.step = period;
+    pieces.count = period ? field.numElements() * step / period : 0;
+    room = Room::OwnedIfLarge;
+    parts.push_back({&field, *part});
+  }
+  // Fields that share cells have the same pieces, but for their places there.
+  for (Pieces &other : owned) {
+    int64_t first = std::min(other.first, pieces.first);
+    int64_t end =
+        std::max(other.first + other.bytes, pieces.first + pieces.bytes);
+    if (other.count == pieces.count && other.step == pieces.step &&
+        end - first < other.bytes + pieces.bytes) {
+      other.first = first;
+      other.bytes = std::min(end, tree.bytes()) - first;
+      return;
+    }
+  }
+  owned.push_back(pieces);
+}
+
+template <typename Move> Status Mirror::forEachPiece(const Move &move) const {
+  if (!isPartial())
+    return move(0, tree.bytes());
+  Status status;
+  for (const Pieces &pieces : owned)
+    for (int64_t i = 0; i < pieces.count && status; ++i) {
+      int64_t at = pieces.first + i * pieces.step;
+      status = move(at, std::min(pieces.bytes, tree.bytes() - at));
+    }
+  return status;
+}
+
+Status Mirror::allocateMemory() {
+  // A smaller tree has memory for all its elements, so that no access waits for
+  // memory.
+  constexpr int64_t share = 4;
+  std::string owner = "tree '" + tree.name() + "'";
+  bool canReserve = device().limits().reservedPieceBytes > 0;
+  if (room == Room::All || !canReserve ||
+      tree.bytes() <= deviceContext->mostBytes() / share)
+    return deviceContext->allocate(std::max<int64_t>(tree.bytes(), 1), owner,
+                                   memory);
+  room = Room::Owned;
+  int64_t needed = 0;
+  (void)forEachPiece([&](int64_t, int64_t bytes) {
+    needed += bytes;
+    return Status::success();
+  });
+  int64_t left = deviceContext->leftToReserved(0);
+  if (needed > left)
+    return Status::failure(
+        StatusCode::Memory,
+        "out of memory on the device: the rows of this process in " + owner +
+            " need " + formatBytes(needed) + ", and " + formatBytes(left) +
+            " are free");
+  return deviceContext->reserve(tree.bytes(), owner, memory);
+}
+
 Status Mirror::allocate(DevicePtr &address) {
   Section::Entry entry(moving);
   Status status = entry.check();
@@ -37,8 +116,7 @@ Status Mirror::allocate(DevicePtr &address) {
   if (!memory && sparseTree)
     status = sparseTree->allocate(memory);
   else if (!memory)
-    status = deviceContext->allocate(std::max<int64_t>(tree.bytes(), 1),
-                                     "tree '" + tree.name() + "'", memory);
+    status = allocateMemory();
   address = memory;
   return status;
 }
@@ -55,8 +133,11 @@ Status Mirror::upload() {
     if (sparseTree)
       status = pristine ? Status::success() : sparseTree->upload();
     else
-      status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
-                        : device().copyIn(at(0), tree.base(), tree.bytes());
+      status = forEachPiece([&](int64_t first, int64_t bytes) {
+        return pristine
+                   ? device().fill(at(first), &zero, 1, bytes)
+                   : device().copyIn(at(first), tree.base() + first, bytes);
+      });
     if (!status || changes != before)
       continue;
     if (isExported())
@@ -73,7 +154,10 @@ Status Mirror::download() {
   while (status && !onHost() && !isCopied) {
     uint64_t before = changes;
     status = sparseTree ? sparseTree->download()
-                        : device().copyOut(tree.base(), at(0), tree.bytes());
+                        : forEachPiece([&](int64_t first, int64_t bytes) {
+                            return device().copyOut(tree.base() + first,
+                                                    at(first), bytes);
+                          });
     isCopied = changes == before;
     if (status && isCopied && !isExported())
       hostCurrent.store(true, std::memory_order_release);
@@ -210,8 +294,20 @@ public:
       status = DeviceBlock::make(mirror.sharedContext(),
                                  std::min(piece, count) * bytes,
                                  "copies of fields", dense);
-    return status ? safepoint::runInPieces(count, piece, canStop, move)
-                  : std::move(status);
+    const OwnedIndices *part = mirror.partOf(field);
+    if (!status || !mirror.isPartial() || !part)
+      return status ? safepoint::runInPieces(count, piece, canStop, move)
+                    : std::move(status);
+    // The elements of the process are in blocks, one in each period.
+    int64_t inner = 1;
+    for (int d = part->dimension + 1; d < field.rank(); ++d)
+      inner *= field.shape()[d];
+    int64_t period = inner * field.shape()[part->dimension];
+    for (int64_t at = part->first * inner; at < count && status; at += period)
+      status = safepoint::runInPieces(
+          part->count * inner, piece, canStop,
+          [&](int64_t first, int64_t some) { return move(at + first, some); });
+    return status;
   }
   Status copyIn(int64_t first, int64_t count, const char *array) {
     DeviceRows rows = mirror.rows(field, first, count);
@@ -347,6 +443,31 @@ static void settleLent(const Mirror &mirror) {
     mirror.context().note(mirror.context().queue().settle());
 }
 
+DeviceRows Mirror::ownedRows(const Field &field, int64_t first,
+                             int64_t count) const {
+  const OwnedIndices *part = partOf(field);
+  if (!part)
+    return rows(field, first, count);
+  // The elements with one index along the dimension are in blocks, one block in
+  // each period.
+  int64_t inner = 1;
+  for (int d = part->dimension + 1; d < field.rank(); ++d)
+    inner *= field.shape()[d];
+  int64_t period = inner * field.shape()[part->dimension];
+  bool isWhole = period > 0 && first % period == 0 && count % period == 0;
+  int64_t bytes = field.numComponents() * byteSize(field.scalar());
+  int64_t step = field.evenStep(), blocks = isWhole ? count / period : 0;
+  if (!isWhole || (step != bytes && blocks != 1))
+    return rows(field, first, count);
+  DeviceRows found =
+      rows(field, first + part->first * inner, part->count * inner);
+  if (step == bytes && blocks != 1) {
+    found.step = period * bytes;
+    found.rows = blocks;
+  }
+  return found;
+}
+
 bool Mirror::fill(const Field &field, const void *scalarBytes) {
   if (!onDevice())
     return false;
@@ -367,7 +488,7 @@ bool Mirror::fill(const Field &field, const void *scalarBytes) {
   deviceWrites();
   auto size = static_cast<int>(byteSize(field.scalar()));
   Device &target = device();
-  DeviceRows rows = this->rows(field, 0, field.numElements());
+  DeviceRows rows = ownedRows(field, 0, field.numElements());
   context().note(rows.rows == 1 ? target.fill(rows.address, scalarBytes, size,
                                               rows.rowBytes / size)
                                 : target.fillRows(rows, scalarBytes, size));
@@ -382,7 +503,7 @@ bool Mirror::fill(const Field &field, const void *scalarBytes) {
 DeviceRows Slabs::rowsOf(int64_t first, int64_t count) const {
   const Mirror &mirror = *field->tree().mirror();
   if (isRowMajor)
-    return mirror.rows(*field, first, count);
+    return mirror.ownedRows(*field, first, count);
   int slowDimension = slowDimensions.front();
   int64_t rowBytes = bytes;
   for (int d = slowDimension + 1; d < field->rank(); ++d)
@@ -397,9 +518,14 @@ Status Slabs::keepOnDevice(int64_t first, int64_t count,
                            std::unique_ptr<DeviceBlock> &block) const {
   Mirror &mirror = *field->tree().mirror();
   Status status = mirror.toDevice();
+  DeviceRows rows{};
+  int64_t kept = count * bytes;
+  if (status && !mover) {
+    rows = rowsOf(first, count);
+    kept = rows.rowBytes * rows.rows;
+  }
   if (status)
-    status =
-        DeviceBlock::makeKept(mirror.sharedContext(), count * bytes, block);
+    status = DeviceBlock::makeKept(mirror.sharedContext(), kept, block);
   if (!status)
     return status;
   if (mover) {
@@ -407,19 +533,24 @@ Status Slabs::keepOnDevice(int64_t first, int64_t count,
     status = bringNumbers(first, count, cells);
     return status ? mover->load(cells, block->get()) : std::move(status);
   }
-  DeviceRows rows = rowsOf(first, count);
   return mirror.context().queue().copyKept(
       {block->get(), rows.rowBytes, rows.rowBytes, rows.rows}, rows.address,
       rows.step);
 }
 
-Status Slabs::zerosOnDevice(int64_t count,
+Status Slabs::zerosOnDevice(int64_t first, int64_t count,
                             std::unique_ptr<DeviceBlock> &block) const {
   Mirror &mirror = *field->tree().mirror();
-  Status status =
-      DeviceBlock::makeKept(mirror.sharedContext(), count * bytes, block);
+  Status status = mirror.toDevice();
+  int64_t kept = count * bytes;
+  if (status && !mover) {
+    DeviceRows rows = rowsOf(first, count);
+    kept = rows.rowBytes * rows.rows;
+  }
+  if (status)
+    status = DeviceBlock::makeKept(mirror.sharedContext(), kept, block);
   const char zero = 0;
-  return status ? mirror.device().fill(block->get(), &zero, 1, count * bytes)
+  return status ? mirror.device().fill(block->get(), &zero, 1, kept)
                 : std::move(status);
 }
 

@@ -212,6 +212,27 @@ def astray(transport: Any) -> str:
     return _failure(move if transport.rank == 1 else blur)
 
 
+def failing(transport: Any) -> tuple[str, str]:
+    """The last loop of a launch fails on rank 1, and no exchange of the launch follows."""
+    begin(transport, ti.f32, debug=True)
+    x, y = ti.field(ti.f32), ti.field(ti.f32)
+    root(transport, ti.i).dense(ti.i, 12).place(x, y)
+
+    @ti.kernel
+    def check():
+        for i in x:
+            assert i < 9, "row nine"
+            x[i] = i
+
+    @ti.kernel
+    def blur():
+        for i in range(1, 11):
+            y[i] = x[i - 1] + x[i + 1]
+
+    transport.patience = 20
+    return _failure(check), _failure(blur)
+
+
 def alone(transport: Any) -> str:
     """Rank 0 reads an element, which all ranks must read."""
     x, blur = _blur(transport, 1)

@@ -183,6 +183,13 @@ def test_a_collective_call_on_one_rank_is_an_error():
     assert "in the exchange 'fetch' of field 'x' in the launch of kernel 'blur'" in second
 
 
+def test_a_failure_in_the_last_loop_of_a_launch_is_told():
+    (checked, waited), (failed, later) = rank_pipes.run_ranks(rank_scenes.failing, 2)
+    assert checked == "no error" and "row nine" in failed
+    assert "lost rank 1" in waited and "of kernel 'check' failed on rank 1: row nine" in waited
+    assert "the ranks no longer communicate" in later
+
+
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_a_rank_that_ends_ends_the_others(ranks):
     results = rank_pipes.run_ranks(rank_scenes.ending, ranks)

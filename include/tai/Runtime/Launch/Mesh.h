@@ -31,10 +31,13 @@ struct Exchange {
   void *address;
   int64_t rows;
   std::vector<int64_t> extents, strides;
-  /// True if `address` is memory of the runtime's device. The device has done
-  /// all earlier work, and the handler's work must be done when it returns.
+  /// True if `address` is memory of the runtime's device. The default stream
+  /// waits for all earlier work, and later work for the default stream, on
+  /// which the handler queues its own.
   bool isOnDevice = false;
 };
+
+struct Launch;
 
 struct Mesh {
   int64_t rank = 0;
@@ -50,6 +53,16 @@ void setMesh(Mesh mesh);
 
 /// The number of the process in its mesh; nothing if it belongs to none.
 std::optional<int64_t> rankOfProcess();
+
+/// Tells the other ranks of the mesh, if there are any, that work on this one
+/// has failed: they may wait in an exchange that this rank does not reach.
+/// `kernel` is empty if several launches may be the cause.
+void tellRanks(const std::string &failure, const std::string &kernel,
+               const char *where);
+
+/// True if the launch, which this thread has run last, has asked for the number
+/// of the process in its mesh.
+bool isOnRanks(const Launch &launch);
 
 /// The number of exchanges of the process that were left out, because the
 /// halos were current.

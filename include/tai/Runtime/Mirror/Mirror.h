@@ -20,8 +20,17 @@
 #include "tai/Runtime/Storage/Field.h"
 #include "tai/Runtime/Threads/Section.h"
 #include <optional>
+#include <utility>
+#include <vector>
 
 namespace mlir::tai::runtime {
+
+/// The indices of a field along one dimension that the process owns, as a rank
+/// of a mesh.
+struct OwnedIndices {
+  int dimension = 0;
+  int64_t first = 0, count = 0;
+};
 
 class Mirror {
 public:
@@ -45,6 +54,20 @@ public:
   bool onHost() const { return hostCurrent.load(std::memory_order_acquire); }
   bool onDevice() const {
     return deviceCurrent.load(std::memory_order_acquire);
+  }
+
+  /// Notes a field of the tree, before the tree has device memory, and the part
+  /// of it that the process owns, if it owns no more. A large tree of which the
+  /// process owns a part has memory for this part alone, and for the elements
+  /// beside it that loops access.
+  void noteField(const Field &field, std::optional<OwnedIndices> part);
+  /// The part of a field that the process owns; null for all of it. Fills and
+  /// saved values leave out other elements.
+  const OwnedIndices *partOf(const Field &field) const {
+    for (const auto &[known, part] : parts)
+      if (known == &field)
+        return &part;
+    return nullptr;
   }
 
   /// Makes the host's copy of the tree current.
@@ -104,6 +127,9 @@ public:
   std::optional<bool> copyIn(const Field &field, const void *array,
                              bool canStop);
 
+  /// The elements that the process owns among [first, first + count), as
+  /// rows(); all of them if the owned ones are no strided region.
+  DeviceRows ownedRows(const Field &field, int64_t first, int64_t count) const;
   /// Elements [first, first + count) of a field with a uniform stride, as a
   /// strided region of the tree's device memory, which must be allocated.
   DeviceRows rows(const Field &field, int64_t first, int64_t count) const {
@@ -120,9 +146,22 @@ public:
     return memory + static_cast<DevicePtr>(offset);
   }
 
+  /// True if elements that the process does not own have no memory.
+  bool isPartial() const { return room == Room::Owned; }
+
 private:
+  /// `count` pieces of `bytes` bytes of the tree, with `step` bytes from the
+  /// start of one to the start of the next.
+  struct Pieces {
+    int64_t first, bytes, step, count;
+  };
+
   Status download();
   Status upload();
+  Status allocateMemory();
+  /// Calls move(offset, bytes) for all bytes of the tree that the process owns,
+  /// until one fails.
+  template <typename Move> Status forEachPiece(const Move &move) const;
 
   std::shared_ptr<DeviceContext> deviceContext;
   Tree &tree;
@@ -137,6 +176,11 @@ private:
   /// Counts writes on either side, so that a copy notices a handler's writes.
   uint64_t changes = 0;
   DevicePtr memory = 0;
+  std::vector<Pieces> owned;
+  std::vector<std::pair<const Field *, OwnedIndices>> parts;
+  /// The elements that have memory on the device.
+  enum class Room { All, OwnedIfLarge, Owned };
+  Room room = Room::All;
 };
 
 } // namespace mlir::tai::runtime

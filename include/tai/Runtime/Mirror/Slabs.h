@@ -91,8 +91,8 @@ public:
   }
   Status keepOnDevice(int64_t first, int64_t count,
                       std::unique_ptr<DeviceBlock> &block) const;
-  /// Gives zeroed device memory for `count` elements of the field.
-  Status zerosOnDevice(int64_t count,
+  /// Gives zeroed device memory for such a range.
+  Status zerosOnDevice(int64_t first, int64_t count,
                        std::unique_ptr<DeviceBlock> &block) const;
   void storeOnDevice(int64_t first, int64_t count,
                      const DeviceBlock &block) const;

@@ -499,7 +499,8 @@ void TapeMemory::swap(Piece &piece) {
   const Slabs &slabs = piece.track->slabs;
   // A saved piece that was all zeros has no memory until it is restored.
   if (!piece.block && slabs.onDevice()) {
-    Status status = slabs.zerosOnDevice(piece.count(), piece.block);
+    Status status =
+        slabs.zerosOnDevice(piece.first(), piece.count(), piece.block);
     if (!status) {
       piece.track->field->tree().mirror()->context().note(std::move(status));
       return;

@@ -6,6 +6,7 @@ import ctypes
 import importlib
 import os
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -58,18 +59,24 @@ class HostMemory:
                 rows[...] = values
         return None
 
-    def reduce(self, transport: Any, view: Any, kind: str) -> None:
+    def prepare(
+        self, transport: Any, head: int, out: Sequence, into: Sequence, adds: bool, watched: tuple
+    ) -> None:
+        """Memory of the host is not prepared."""
+
+    def reduce(self, transport: Any, view: Any, kind: str, watched: tuple) -> None:
         """Replaces the numbers by those that all ranks combine."""
         total = np.array(view)
         transport.all_reduce(total, kind)
         view[...] = total
 
-    def gather(self, transport: Any, rows: Any) -> list[Any]:
+    def gather(self, transport: Any, rows: Any, watched: tuple) -> list[Any]:
         """The rows of all ranks."""
         return list(transport.all_gather(np.ascontiguousarray(rows)))
 
-    def finish(self) -> None:
-        """Waits until the memory has the results."""
+    def in_order(self) -> AbstractContextManager:
+        """A context in which work on the memory is in order with that of tai."""
+        return nullcontext()
 
 
 def _bytes(rows: Any) -> Any:

@@ -1,12 +1,14 @@
 """The memory of exchanges on a GPU: torch packs rows there, and NCCL carries them.
 
-A process group without NCCL, or a transport that is not torch's, carries them through the host.
+With NCCL, the host waits for nothing. tai's stream and the default stream of torch, on which all
+of this runs, are in order; `device_watch` looks later whether the messages have come. A process
+group without NCCL, or a transport that is not torch's, carries rows through the host.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from functools import lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -52,7 +54,7 @@ class _Message:
         self.rows = self.bytes[HEAD:].view(rows.dtype).view(rows.shape)
         self.head = self.bytes[:8].view(torch.int64)
         self.head.fill_(head)
-        self.got = torch.zeros(1, dtype=torch.int64, pin_memory=True)
+        self.got = torch.full((1,), head, dtype=torch.int64, pin_memory=True)
         begin = dist.isend if is_sent else dist.irecv
         self.job = dist.P2POp(begin, self.bytes, peer) if has_nccl else None
 
@@ -72,6 +74,37 @@ def _message(
     return found
 
 
+class _Carried:
+    """An exchange of certain rows by NCCL, which may be queued many times."""
+
+    def __init__(self, head: int, sends: Sequence, receives: Sequence, adds: bool, watched: tuple):
+        self._packs = [(message.rows, rows) for _, message, rows in sends]
+        self._takes = [(message.got, message.head, message.rows, rows)
+                       for _, message, rows in receives]  # fmt: skip
+        self._jobs = [message.job for _, message, _ in (*sends, *receives)]
+        self._heads = [(peer, message.got) for peer, message, _ in receives]
+        self._head, self._adds, self._watched = head, adds, watched
+
+    def __call__(self) -> None:
+        if torch.cuda.current_stream().cuda_stream == 0:
+            self._queue()
+        else:
+            with torch.cuda.stream(torch.cuda.default_stream()):
+                self._queue()
+
+    def _queue(self) -> None:
+        for packed, rows in self._packs:
+            packed.copy_(rows)
+        begin = _mark()
+        for work in dist.batch_isend_irecv(self._jobs) if self._jobs else ():
+            work.wait()  # The stream waits, not the host.
+        for got, head, packed, rows in self._takes:
+            got.copy_(head, non_blocking=True)
+            rows.add_(packed) if self._adds else rows.copy_(packed)
+        watch, action = self._watched
+        watch.add(begin, _mark(), self._heads, self._head, action)
+
+
 class DeviceMemory:
     """Arrays of the GPU of this process, as tensors; the methods are those of `HostMemory`."""
 
@@ -84,63 +117,82 @@ class DeviceMemory:
     def rows_first(self, view: torch.Tensor, dimension: int) -> torch.Tensor:
         return view.movedim(dimension, 0)
 
+    def prepare(
+        self, transport: Any, head: int, out: Sequence, into: Sequence, adds: bool, watched: tuple
+    ) -> Callable[[], None] | None:
+        """A function that queues an exchange of rows on the GPU; None without NCCL.
+
+        Args:
+            head: the number in front of each message.
+            out, into: pairs of a rank and rows.
+            adds: whether rows that come are added.
+            watched: notes the exchanges that are not done, and the subject of this one.
+        """
+        if not _has_nccl(transport):
+            return None
+        sends, receives = self._find_messages(transport, head, out, into)
+        return _Carried(head, sends, receives, adds, watched)
+
     def carry(
         self, transport: Any, head: int, out: Sequence, into: Sequence, adds: bool
     ) -> int | None:
+        sends, receives = self._find_messages(transport, head, out, into)
+        for _, message, rows in sends:
+            message.rows.copy_(rows)
+        host = [(peer, np.empty(each.bytes.numel(), np.uint8)) for peer, each, _ in receives]
+        transport.swap([(peer, each.bytes.cpu().numpy()) for peer, each, _ in sends], host)
+        for (peer, message, rows), (_, got) in zip(receives, host, strict=True):
+            if int(got[:8].view(np.int64)[0]) != head:
+                return peer
+            message.bytes.copy_(torch.from_numpy(got))
+            rows.add_(message.rows) if adds else rows.copy_(message.rows)
+        return None
+
+    def _find_messages(self, transport: Any, head: int, out: Sequence, into: Sequence) -> tuple:
         known = _messages.setdefault(transport, {})
         sends = [(peer, _message(known, transport, head, peer, True, rows), rows)
                  for peer, rows in out]  # fmt: skip
         receives = [(peer, _message(known, transport, head, peer, False, rows), rows)
                     for peer, rows in into]  # fmt: skip
-        for _, message, rows in sends:
-            message.rows.copy_(rows)
-        self._swap(transport, sends, receives)
-        for _, message, rows in receives:
-            # The rows are lost if the head is wrong, but so is the program.
-            message.got.copy_(message.head, non_blocking=True)
-            rows.add_(message.rows) if adds else rows.copy_(message.rows)
-        _wait(transport)
-        return next((peer for peer, message, _ in receives if int(message.got) != head), None)
+        return sends, receives
 
-    def _swap(self, transport: Any, sends: Sequence, receives: Sequence) -> None:
-        if not _has_nccl(transport):
-            host = [(peer, np.empty(each.bytes.numel(), np.uint8)) for peer, each, _ in receives]
-            transport.swap([(peer, each.bytes.cpu().numpy()) for peer, each, _ in sends], host)
-            for (_, message, _), (_, got) in zip(receives, host, strict=True):
-                message.bytes.copy_(torch.from_numpy(got))
-            return
-        jobs = [message.job for _, message, _ in (*sends, *receives)]
-        for work in dist.batch_isend_irecv(jobs) if jobs else ():
-            work.wait()
-
-    def reduce(self, transport: Any, view: torch.Tensor, kind: str) -> None:
+    def reduce(self, transport: Any, view: torch.Tensor, kind: str, watched: tuple) -> None:
         total = view.contiguous()
         if total.dtype in (torch.int16, torch.int8, torch.uint8):
             total = total.to(torch.int64)
         if total is view or total.data_ptr() == view.data_ptr():
             total = total.clone()
         if _has_nccl(transport):
+            begin = _mark()
             dist.all_reduce(total, _OPS[kind])
-            _wait(transport)
+            watched[0].add(begin, _mark(), (), 0, watched[1])
         else:
             host = total.cpu().numpy()
             transport.all_reduce(host, kind)
             total = torch.from_numpy(host).cuda()
         view.copy_(total)
 
-    def gather(self, transport: Any, rows: torch.Tensor) -> list[torch.Tensor]:
+    def gather(self, transport: Any, rows: torch.Tensor, watched: tuple) -> list[torch.Tensor]:
         own = rows.contiguous()
         if not _has_nccl(transport):
             return [torch.from_numpy(np.ascontiguousarray(each)).cuda()
                     for each in transport.all_gather(own.cpu().numpy())]  # fmt: skip
         found = [torch.empty_like(own) for _ in range(transport.size)]
         # NCCL has no integers of 16 bits; bytes travel alike.
+        begin = _mark()
         dist.all_gather([_bytes(each) for each in found], _bytes(own))
-        _wait(transport)
+        watched[0].add(begin, _mark(), (), 0, watched[1])
         return found
 
-    def finish(self) -> None:
-        torch.cuda.current_stream().synchronize()
+    def in_order(self) -> AbstractContextManager:
+        return torch.cuda.stream(torch.cuda.default_stream())
+
+
+def _mark() -> torch.cuda.Event:
+    """An event behind all work so far."""
+    event = torch.cuda.Event()
+    event.record()
+    return event
 
 
 def _bytes(tensor: torch.Tensor) -> torch.Tensor:
@@ -149,13 +201,3 @@ def _bytes(tensor: torch.Tensor) -> torch.Tensor:
 
 def _has_nccl(transport: Any) -> bool:
     return bool(getattr(transport, "has_nccl", False))
-
-
-def _wait(transport: Any) -> None:
-    """Waits for NCCL, which does not notice itself that a rank is gone."""
-    event = torch.cuda.Event()
-    event.record()
-    end = time.monotonic() + transport.timeout
-    while not event.query():
-        if time.monotonic() > end:
-            raise RuntimeError(f"no answer in {transport.timeout:g} s")

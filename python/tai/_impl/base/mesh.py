@@ -10,6 +10,7 @@ import importlib
 import itertools
 import os
 import re
+import sys
 import zlib
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -18,10 +19,14 @@ import numpy as np
 
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError
 from . import native
+from .device_watch import Watch
 from .exchanged import is_emulated, memory_of
 
 # The bytes of a text that ranks compare when they meet.
 _TEXT = 256
+
+# The most exchanges that a GPU keeps ready.
+_MOST_READY = 4096
 
 
 class Transport(Protocol):
@@ -72,6 +77,9 @@ class Mesh:
         self._given = transport
         self._transport: Any = None
         self._known: set[tuple] = set()
+        # Exchanges of GPUs that need only be queued again, and those that are not done.
+        self._ready: dict[tuple, Callable[[], None]] = {}
+        self._watch: Any = None
         # The exchanges so far, by kind.
         self._counts: dict[str, int] = {}
         self._left_out = 0
@@ -98,6 +106,7 @@ class Mesh:
                 f"start the program by torchrun --nproc-per-node {self.ranks}",
             )
         self._known.clear()
+        self._ready.clear()
         self._counts.clear()
         self._left_out = native.exchanges_left_out()
         own = f"mesh '{self.name[:64]}' of {self.ranks} ranks in tai {native.version()}"
@@ -196,21 +205,34 @@ class Mesh:
         """Carries out an exchange of a kernel; `TaiExchange` of tai-c/Mesh.h has the parameters."""
         if kind == "fail":
             if self._lost is None:
-                text = f"the launch of kernel '{kernel}' failed on rank {self.rank}: {field}"
+                work = f"the launch of kernel '{kernel}'" if kernel else "a launch"
+                text = f"{work} failed on rank {self.rank}: {field}"
                 self._note(text, self.rank)
             return
         plan = (kind, field, element, digest, block, before, after, rows, extents, strides)
         action = f"the exchange '{kind}' of field '{field}' in the launch of kernel '{kernel}'"
         self._counts[kind] = self._counts.get(kind, 0) + 1
+        ready = self._ready.get((address, *plan)) if on_device else None
+        if ready is not None:
+            self.together(action, ready)
+            return
         if plan not in self._known:
             self._compare(plan, action, where)
             self._known.add(plan)
         memory = memory_of(on_device)
+        with memory.in_order():
+            self._carry_out(memory, plan, address, action)
+
+    def _carry_out(self, memory: Any, plan: tuple, address: int, action: str) -> None:
+        kind, _, element, _, block, before, after, rows, extents, strides = plan
         view = memory.view(address, element, extents, strides)
         by_rows: Any = memory.rows_first(view, rows) if rows >= 0 else None
         low, high = self.rank * block, (self.rank + 1) * block
         if kind == "gather":
-            found = self.together(action, lambda: memory.gather(self._transport, by_rows[low:high]))
+            found = self.together(
+                action,
+                lambda: memory.gather(self._transport, by_rows[low:high], self._watched(action)),
+            )
             for rank, other in enumerate(found):
                 by_rows[rank * block : (rank + 1) * block] = other
         elif kind == "open":
@@ -220,12 +242,13 @@ class Mesh:
             elif self.rank:
                 view[...] = 0
         elif kind in ("sum", "min", "max"):
-            self.together(action, lambda: memory.reduce(self._transport, view, kind))
+            self.together(
+                action, lambda: memory.reduce(self._transport, view, kind, self._watched(action))
+            )
         else:
             self.together(
-                action, lambda: self._exchange_rows(memory, plan, by_rows, block, before, after)
+                action, lambda: self._exchange_rows(memory, plan, by_rows, address, action)
             )
-        memory.finish()
 
     def _compare(self, plan: tuple, action: str, where: str) -> None:
         """Before the first exchange of a plan: all ranks have the same one."""
@@ -239,10 +262,10 @@ class Mesh:
                 )
 
     def _exchange_rows(
-        self, memory: Any, plan: tuple, view: Any, block: int, before: int, after: int
+        self, memory: Any, plan: tuple, view: Any, address: int, action: str
     ) -> None:
         """Fetches, clears or collects halos; the rows are the first dimension."""
-        kind = plan[0]
+        kind, (block, before, after) = plan[0], plan[4:7]
         rank, last = self.rank, self.ranks - 1
         low, high = rank * block, (rank + 1) * block
         # Halos of this rank, and its rows that are halos of others, with the other rank.
@@ -261,11 +284,38 @@ class Mesh:
             return
         out, into = (owned, halos) if kind == "fetch" else (halos, owned)
         # A message begins with a hash of its plan: the peer may be in another exchange.
-        wrong = memory.carry(self._transport, _hash(plan), out, into, adds=kind != "fetch")
+        head, adds = _hash(plan), kind != "fetch"
+        ready = memory.prepare(self._transport, head, out, into, adds, self._watched(action))
+        if ready is not None:
+            if len(self._ready) >= _MOST_READY:
+                self._ready.clear()
+            self._ready[(address, *plan)] = ready
+            ready()
+            return
+        wrong = memory.carry(self._transport, head, out, into, adds)
         if wrong is not None:
             error = RuntimeError("it sends the rows of another exchange")
             error.rank = wrong  # type: ignore[attr-defined]
             raise error
+
+    def _watched(self, action: str) -> tuple[Any, str]:
+        """The exchanges of a GPU that are not done, and the subject of one."""
+        if self._watch is None:
+            self._watch = Watch(self.timeout, self._lose)
+            on_failure = getattr(self._transport, "on_failure", None)
+            if on_failure is not None:
+                on_failure(self._watch.hurry)
+        return self._watch, action
+
+    def _lose(self, action: str, reason: str, peer: int | None) -> None:
+        """Ends the process, whose GPU waits for another rank: no call of the host would return."""
+        text = self._lost
+        if text is None:
+            name = "other ranks" if peer is None else f"rank {peer}"
+            text = f"rank {self.rank} of {self.ranks} lost {name} in {action}: {reason}"
+            text = self._note(text, peer)
+        print(f"[tai] rank {self.rank} ends: {text}", file=sys.stderr, flush=True)
+        os._exit(1)
 
     # Accesses of the host
 

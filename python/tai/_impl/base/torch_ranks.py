@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import itertools
 import os
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,7 @@ class TorchRanks:
         self.has_nccl = "nccl" in str(getattr(dist, "get_backend_config", lambda: "")())
         self.rank, self.size = dist.get_rank(), dist.get_world_size()
         self._has_failed = False
+        self._on_failure: list[Callable[[], None]] = []
         # Other meshes of the process have the same store.
         self._number = next(_numbers)
         threading.Thread(target=self._watch, name="tai-ranks", daemon=True).start()
@@ -100,6 +102,10 @@ class TorchRanks:
         except (RuntimeError, AttributeError):
             return told  # The process that serves the store has ended.
 
+    def on_failure(self, call: Callable[[], None]) -> None:
+        """Calls a function, on another thread, when a rank has given up."""
+        self._on_failure.append(call)
+
     def _watch(self) -> None:
         """Ends a process that hangs, after another rank has given up.
 
@@ -111,6 +117,8 @@ class TorchRanks:
             text = self._store.get("tai/failed").decode()
         except (RuntimeError, AttributeError):
             return  # The process that serves the store has ended.
+        for call in self._on_failure:
+            call()
         time.sleep(self.timeout)
         if not self._has_failed:
             print(f"[tai] rank {self.rank} ends: {text}", file=sys.stderr, flush=True)
@@ -158,7 +166,20 @@ def connect(name: str, ranks: int, timeout: float, on_gpus: bool) -> TorchRanks:
             f"rank {own} of {ranks} waited {timeout:g} s for the mesh '{name}', and {problem}",
             "do all processes run the program, with the same MASTER_ADDR and MASTER_PORT?",
         ) from error
-    return TorchRanks(store, timeout)
+    ranks_here = TorchRanks(store, timeout)
+    if ranks_here.has_nccl:
+        _keep_waiting(timeout)
+    return ranks_here
+
+
+def _keep_waiting(timeout: float) -> None:
+    """Lets NCCL wait longer than the ranks do, which tell more than NCCL does.
+
+    NCCL counts from when the host queues a message, and a rank from when its GPU reaches it.
+    """
+    with contextlib.suppress(AttributeError, RuntimeError, TypeError):
+        backend = dist.distributed_c10d._get_default_group()._get_backend(torch.device("cuda"))
+        backend._set_default_timeout(datetime.timedelta(seconds=20 * timeout))
 
 
 def choose_gpu(ranks: int) -> None:
