@@ -227,6 +227,12 @@ void LoopTrajectory::record() {
     recordChunks();
   else
     storeRecorded(forward);
+  if (SmallVectorImpl<Value> *made = b.getPlan().local.histories) {
+    llvm::append_range(*made, llvm::make_second_range(histories));
+    for (auto [index, start] : starts)
+      if (!histories.contains(index))
+        made->push_back(start);
+  }
 }
 
 /// Emits the bounds of the loop's induction variable for the iterations number

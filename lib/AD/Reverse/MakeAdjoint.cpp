@@ -13,6 +13,7 @@
 #include "../SelectedFunctionsPass.h"
 #include "StoredOutputs.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
@@ -216,6 +217,8 @@ static LogicalResult fillWith(FunctionOpInterface function,
       }
       break;
     }
+    if (plan.local.histories)
+      plan.local.histories->clear();
     clearBody(shell);
   }
   dropForms(shell);
@@ -295,26 +298,40 @@ struct TraceBudget {
   uint64_t limit = 0;
   std::optional<uint64_t> taken = 0;
 
+  /// Adds the size of `array`, which is a constant if all trip counts are.
+  void add(memref::AllocOp array) {
+    std::optional<uint64_t> bytes = getAllocatedBytes(array);
+    if (taken && bytes)
+      *taken += *bytes;
+    else
+      taken.reset();
+  }
   bool isExceeded() const { return !taken || *taken > limit; }
 };
 
-/// Returns the budget of `function`, whose traces are in `target`. The size of
-/// a trace is a constant if all trip counts are.
-static std::optional<TraceBudget> getTraceBudget(FunctionOpInterface function,
-                                                 FunctionOpInterface target) {
+/// Returns the budget of `function`, without the bytes that it takes.
+static std::optional<TraceBudget> getTraceBudget(FunctionOpInterface function) {
   auto limit =
       getOriginal(function)->getAttrOfType<IntegerAttr>("tai.trace_bytes");
   if (!limit)
     return std::nullopt;
-  TraceBudget budget{limit.getValue().getZExtValue()};
-  target.walk([&](memref::AllocOp array) {
-    std::optional<uint64_t> bytes = getAllocatedBytes(array);
-    if (budget.taken && bytes)
-      *budget.taken += *bytes;
-    else
-      budget.taken.reset();
+  return TraceBudget{limit.getValue().getZExtValue()};
+}
+
+/// Marks arrays that are copies or records, while others are made.
+constexpr StringLiteral kCounted = "tai.counted";
+
+/// Returns the copies and records of the derivative `shell`: the marked arrays,
+/// and `histories`.
+static SmallVector<Value> takeCounted(FunctionOpInterface shell,
+                                      ArrayRef<Value> histories) {
+  SmallVector<Value> arrays;
+  shell.walk([&](memref::AllocOp array) {
+    if (array->removeAttr(kCounted) ||
+        llvm::is_contained(histories, array.getResult()))
+      arrays.push_back(array);
   });
-  return budget;
+  return arrays;
 }
 
 /// Refuses a derivative whose traces take more bytes than the function allows.
@@ -347,6 +364,8 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
   // Reads are identified by their numbers in program order, because each
   // attempt works on a copy of its own.
   llvm::SetVector<unsigned> numbers;
+  std::optional<TraceBudget> budget = getTraceBudget(function);
+  int64_t historyBytes = options.historyBytes;
   unsigned numArguments = shell.getNumArguments();
   while (true) {
     FunctionOpInterface copy = function;
@@ -377,11 +396,17 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
     SmallVector<Location> places;
     for (Operation *read : reads)
       places.push_back(read->getLoc());
-    SmallVector<Value> arrays;
-    std::optional<TraceBudget> budget;
+    SmallVector<Value> records, histories;
+    AdjointOptions adjusted = options;
+    adjusted.historyBytes = historyBytes;
+    if (budget) {
+      local.histories = &histories;
+      budget->taken = 0;
+    }
     if (augmented) {
       Traces traces = recordReads(copy, augmented, reads, TraceMode::Augmented);
-      budget = getTraceBudget(function, augmented);
+      if (budget)
+        augmented.walk([&](memref::AllocOp array) { budget->add(array); });
       if (budget && budget->isExceeded())
         return refuseTraces(function, *budget, places);
       passRecords(traces, shell);
@@ -391,11 +416,12 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
       if (failed(checkRunsAgain(copy)))
         return failure();
       Traces traces = recordReads(copy, shell, reads);
-      budget = getTraceBudget(function, shell);
-      if (budget && !budget->taken)
-        return refuseTraces(function, *budget, places);
+      if (budget)
+        shell.walk([&](memref::AllocOp array) {
+          array->setAttr(kCounted, UnitAttr::get(array.getContext()));
+        });
       for (auto &[argument, array] : traces.arrays)
-        arrays.push_back(array);
+        records.push_back(array);
       local.recorded = std::move(traces.recorded);
       local.records = std::move(traces.arrays);
       before = std::move(traces.before);
@@ -413,7 +439,7 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
             said.push_back(std::move(diagnostic));
             return success();
           });
-      filled = fillWith(copy, shell, signature, options,
+      filled = fillWith(copy, shell, signature, adjusted,
                         /*needsParts=*/nullptr, std::move(local));
     }
     auto report = [&] {
@@ -422,8 +448,22 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
     };
     if (succeeded(filled)) {
       report();
+      SmallVector<Value> counted = takeCounted(shell, histories);
+      for (Value array : counted)
+        if (budget)
+          budget->add(array.getDefiningOp<memref::AllocOp>());
+      int64_t less = budget ? static_cast<int64_t>(budget->limit) / 2 : 0;
+      if (budget && budget->isExceeded() && reads.empty() &&
+          !histories.empty() && historyBytes > 0) {
+        // Loops keep fewer of the values that they carry, and run again.
+        historyBytes = historyBytes > less ? less : 0;
+        clearBody(shell);
+        continue;
+      }
+      llvm::append_range(records, histories);
       if (budget && budget->isExceeded() &&
-          failed(divideTraces(shell, arrays, budget->limit)))
+          failed(divideTraces(shell, getOriginal(function).getName(), records,
+                              counted, budget->limit)))
         return refuseTraces(function, *budget, places);
       if (!before.empty())
         shell->setAttr("tai.reads_before",
@@ -509,6 +549,10 @@ struct MakeAdjoint
     : SelectedFunctionsPass<MakeAdjoint, tai::impl::MakeAdjointBase> {
   using SelectedFunctionsPass::SelectedFunctionsPass;
 
+  void getDependentDialects(DialectRegistry &registry) const override {
+    SelectedFunctionsPass::getDependentDialects(registry);
+    registry.insert<cf::ControlFlowDialect>();
+  }
   LogicalResult begin() { return checkNested(getOperation()); }
   void end() { erasePrepared(getOperation()); }
   LogicalResult runOnFunction(FunctionOpInterface function) {

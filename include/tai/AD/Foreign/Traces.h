@@ -60,11 +60,14 @@ Traces recordReads(FunctionOpInterface primal, FunctionOpInterface target,
 /// The bytes of an array, or none if its size is no constant.
 std::optional<uint64_t> getAllocatedBytes(memref::AllocOp array);
 
-/// Divides the loop of `gradient` with most records into segments. The second
-/// execution keeps the arrays at the start of each, and the reverse sweep runs
-/// one segment after the other again, so that `traces`, and the copies, take at
-/// most `limit` bytes. Fails, and changes nothing, if this cannot be.
-LogicalResult divideTraces(FunctionOpInterface gradient, ArrayRef<Value> traces,
+/// Divides the loops of the `gradient` of '@`name`' with most `records` into
+/// segments. The second execution keeps the arrays at the start of each, and
+/// the reverse sweep runs one segment after the other again, so that all of
+/// `arrays`, the records and the copies, take at most `limit` bytes. Sizes that
+/// are known at run time only are checked there, by an assertion. Fails if this
+/// cannot be; the gradient is then not to be used.
+LogicalResult divideTraces(FunctionOpInterface gradient, StringRef name,
+                           ArrayRef<Value> records, ArrayRef<Value> arrays,
                            uint64_t limit);
 
 } // namespace mlir::tai

@@ -64,6 +64,8 @@ struct LocalMemory {
   llvm::SetVector<Operation *> *toRecord = nullptr;
   /// If true, all reads of memory that the function writes are recorded.
   bool recordsAll = false;
+  /// If not null, collects the arrays that hold values carried by loops.
+  SmallVectorImpl<Value> *histories = nullptr;
 
   Value resolve(Value value) const {
     auto it = recorded.find(value);
