@@ -66,7 +66,7 @@ static constexpr HelpfulPass kPrepared[] = {
     {"vector", kPrepare},
 };
 static constexpr HelpfulPass kOthers[] = {
-    {"func.return", "buffer-results-to-out-params"},
+    {"func.return", "buffer-results-to-out-params=modify-public-functions"},
     {"memref.realloc", "expand-realloc"},
     {"vector.mask", "lower-vector-mask"},
     {"quant", "lower-quant-ops"},

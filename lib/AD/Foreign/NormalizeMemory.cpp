@@ -13,6 +13,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "ByteViews.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
@@ -727,7 +728,7 @@ static LogicalResult freeAtEnds(func::FuncOp function) {
 }
 
 LogicalResult mlir::tai::normalizeMemory(func::FuncOp function) {
-  if (failed(expandCopies(function)))
+  if (failed(splitByteViews(function)) || failed(expandCopies(function)))
     return failure();
   expandUpdates(function);
   // Views are folded twice: first views of an array that a loop or branch

@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "Recursion.h"
 #include "mlir/Conversion/AffineToStandard/AffineToStandard.h"
 #include "mlir/Conversion/ControlFlowToSCF/ControlFlowToSCF.h"
 #include "mlir/Dialect/Affine/IR/AffineOps.h"
@@ -267,9 +268,10 @@ private:
     // Lifting blocks to structured control flow looks up symbols, so the
     // function must be in a module meanwhile.
     symbols.getOp()->getRegion(0).front().push_back(body);
-    LogicalResult lifted = liftBlocks(body);
+    bool isLifted =
+        succeeded(liftBlocks(body)) && succeeded(unrollRecursion(body));
     body->remove();
-    if (failed(lifted))
+    if (!isLifted)
       return failure();
     OpBuilder b(call);
     IRMapping mapping;
@@ -308,7 +310,7 @@ static void callDirectly(func::FuncOp function) {
   }
 }
 
-/// True if a function reaches itself by calls.
+/// True if a function reaches itself by calls of other functions.
 static bool callsItself(func::FuncOp function, SymbolTable &symbols) {
   DenseSet<Operation *> seen;
   SmallVector<func::FuncOp> pending = {function};
@@ -316,7 +318,8 @@ static bool callsItself(func::FuncOp function, SymbolTable &symbols) {
   while (!pending.empty() && !found)
     pending.pop_back_val().walk([&](func::CallOp call) {
       auto callee = symbols.lookup<func::FuncOp>(call.getCallee());
-      found |= callee == function;
+      found |= callee == function &&
+               call->getParentOfType<func::FuncOp>() != function;
       if (callee && seen.insert(callee).second)
         pending.push_back(callee);
     });
@@ -353,7 +356,7 @@ static LogicalResult checkCalls(func::FuncOp function, SymbolTable &symbols) {
           << (isRecursive ? "' calls itself" : "' has a derivative of its own");
       Diagnostic &note = diag.attachNote(callee.getLoc());
       if (isRecursive)
-        note << "write it as a loop, 'scf.for' or 'scf.while'";
+        note << "by another function; write a loop, 'scf.for' or 'scf.while'";
       else
         note << "the derivative of a caller does not use " << rule
              << "; remove 'tai.adjoint' here, or call both functions where the "
