@@ -6,8 +6,11 @@
 //===----------------------------------------------------------------------===//
 
 #include "InputFilter.h"
+#include "Completion.h"
+#include "OutputFilter.h"
 #include "tai/Dialect/Tai/IR/TextLimits.h"
 #include "llvm/ADT/StringExtras.h"
+#include "llvm/ADT/StringMap.h"
 #include "llvm/Support/JSON.h"
 #include "llvm/Support/raw_ostream.h"
 #include <cstdio>
@@ -30,12 +33,70 @@ static void cut(llvm::json::Object *object) {
   }
 }
 
+/// Keeps the text of a document that a message opens or changes.
+static void keepText(llvm::json::Object &params,
+                     llvm::StringMap<std::string> &documents) {
+  llvm::json::Object *document = params.getObject("textDocument");
+  std::optional<StringRef> uri =
+      document ? document->getString("uri") : std::nullopt;
+  if (!uri)
+    return;
+  if (std::optional<StringRef> text = document->getString("text"))
+    documents[*uri] = text->str();
+  // A change replaces the document: see the capabilities of the server.
+  if (llvm::json::Array *changes = params.getArray("contentChanges"))
+    for (llvm::json::Value &change : *changes)
+      if (llvm::json::Object *object = change.getAsObject())
+        if (std::optional<StringRef> text = object->getString("text"))
+          documents[*uri] = text->str();
+}
+
+/// Answers a request for the completion of a symbol. False if the server has to
+/// answer.
+static bool complete(StringRef message,
+                     const llvm::StringMap<std::string> &documents) {
+  llvm::Expected<llvm::json::Value> value = llvm::json::parse(message);
+  if (!value) {
+    llvm::consumeError(value.takeError());
+    return false;
+  }
+  llvm::json::Object *root = value->getAsObject();
+  llvm::json::Object *params = root ? root->getObject("params") : nullptr;
+  llvm::json::Object *document =
+      params ? params->getObject("textDocument") : nullptr;
+  llvm::json::Object *position =
+      params ? params->getObject("position") : nullptr;
+  if (!document || !position || !root->get("id") ||
+      root->getString("method") != "textDocument/completion")
+    return false;
+  auto it = documents.find(document->getString("uri").value_or(""));
+  if (it == documents.end())
+    return false;
+  std::optional<llvm::json::Array> items =
+      completeSymbol(it->second, position->getInteger("line").value_or(0),
+                     position->getInteger("character").value_or(0));
+  if (!items)
+    return false;
+  writeAnswer(llvm::json::Object{
+      {"jsonrpc", "2.0"},
+      {"id", *root->get("id")},
+      {"result", llvm::json::Object{{"isIncomplete", false},
+                                    {"items", std::move(*items)}}}});
+  return true;
+}
+
 /// Returns the message to pass on to the server; empty if the message is
 /// dropped.
 static std::string filter(StringRef message) {
   // JSON is parsed by recursion as well: drop messages that nest too deeply.
   if (findTextProblem(message))
     return {};
+  static llvm::StringMap<std::string> documents;
+  if (message.contains("textDocument/completion") &&
+      complete(message, documents))
+    return {};
+  if (message.contains("\"id\"") && message.contains("\"method\""))
+    noteRequest();
   if (!message.contains("\"text\""))
     return message.str();
   llvm::Expected<llvm::json::Value> value = llvm::json::parse(message);
@@ -47,6 +108,7 @@ static std::string filter(StringRef message) {
   llvm::json::Object *params = root ? root->getObject("params") : nullptr;
   if (!params)
     return message.str();
+  keepText(*params, documents);
   cut(params->getObject("textDocument"));
   if (llvm::json::Array *changes = params->getArray("contentChanges"))
     for (llvm::json::Value &change : *changes)

@@ -8,7 +8,7 @@
 // The server of MLIR reads the standard input and parses documents itself. A
 // thread therefore reads the messages first, and cuts off a document where it
 // nests deeper than the parser can follow: the server then reports an error
-// there.
+// there. It also answers requests for the completion of symbols.
 //
 //===----------------------------------------------------------------------===//
 

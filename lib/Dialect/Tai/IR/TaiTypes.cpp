@@ -88,7 +88,10 @@ static Type parseChild(AsmParser &parser) {
     return parsePlaces(parser);
   SMLoc loc = parser.getCurrentLocation();
   StringRef keyword;
-  if (failed(parser.parseOptionalKeyword(&keyword))) {
+  // An editor offers these, and then types.
+  if (failed(parser.parseOptionalKeyword(
+          &keyword, {"dense", "pointer", "bitmasked", "hash", "dynamic"})) &&
+      failed(parser.parseOptionalKeyword(&keyword))) {
     Type type;
     if (parser.parseType(type))
       return {};
