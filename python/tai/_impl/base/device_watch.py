@@ -7,6 +7,7 @@ the same exchange.
 
 from __future__ import annotations
 
+import atexit
 import threading
 import time
 from collections import deque
@@ -40,6 +41,7 @@ class Watch:
         self._lock = threading.Lock()
         self._since: float | None = None
         self._thread: threading.Thread | None = None
+        self._has_ended = threading.Event()
 
     def add(self, begin: Any, end: Any, heads: Sequence[tuple[int, Any]], head: int,
             action: str) -> None:  # fmt: skip
@@ -53,6 +55,8 @@ class Watch:
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="tai-exchanges", daemon=True)
             self._thread.start()
+            # Python stops threads in the middle of calls of libraries, which abort the process.
+            atexit.register(self.stop)
 
     def look(self) -> bool:
         """Forgets exchanges that are done; False if one has failed."""
@@ -87,6 +91,12 @@ class Watch:
         self._queued.clear()
         self._lose(first.action, reason, peer)
 
+    def stop(self) -> None:
+        """Ends the thread."""
+        self._has_ended.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(1.0)
+
     def _run(self) -> None:
-        while self.look():
-            time.sleep(PAUSE)
+        while not self._has_ended.wait(PAUSE) and self.look():
+            pass

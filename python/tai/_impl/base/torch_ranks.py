@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import datetime
 import itertools
@@ -46,7 +47,11 @@ class TorchRanks:
         self._on_failure: list[Callable[[], None]] = []
         # Other meshes of the process have the same store.
         self._number = next(_numbers)
-        threading.Thread(target=self._watch, name="tai-ranks", daemon=True).start()
+        self._has_ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="tai-ranks", daemon=True)
+        self._thread.start()
+        # Python stops threads in the middle of calls of torch, which abort the process.
+        atexit.register(self._stop)
 
     def swap(
         self, sends: Sequence[tuple[int, np.ndarray]], receives: Sequence[tuple[int, np.ndarray]]
@@ -106,6 +111,10 @@ class TorchRanks:
         """Calls a function, on another thread, when a rank has given up."""
         self._on_failure.append(call)
 
+    def _stop(self) -> None:
+        self._has_ended.set()
+        self._thread.join(1.0)
+
     def _watch(self) -> None:
         """Ends a process that hangs, after another rank has given up.
 
@@ -113,13 +122,15 @@ class TorchRanks:
         """
         try:
             while not self._store.check(["tai/failed"]):
-                time.sleep(self._grace / 4)
+                if self._has_ended.wait(self._grace / 4):
+                    return
             text = self._store.get("tai/failed").decode()
         except (RuntimeError, AttributeError):
             return  # The process that serves the store has ended.
         for call in self._on_failure:
             call()
-        time.sleep(self.timeout)
+        if self._has_ended.wait(self.timeout):
+            return
         if not self._has_failed:
             print(f"[tai] rank {self.rank} ends: {text}", file=sys.stderr, flush=True)
             os._exit(1)
