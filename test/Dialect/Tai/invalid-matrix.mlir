@@ -101,3 +101,29 @@ tai.kernel @sym_eig(%a: vector<2x2xf32>) {
   %l, %q = tai.sym_eig %a : vector<2x2xf32> -> vector<3xf32>
   tai.return
 }
+
+// -----
+
+tai.kernel @local_of_another_type(%a: f32) {
+  %0 = tai.alloca : !tai.local<f32>
+  // expected-note @-1 {{prior use here}}
+  // expected-error @+1 {{expects different type than prior uses: '!tai.local<f64>' vs '!tai.local<f32>'}}
+  %1 = tai.local_load %0 : f64
+  tai.return
+}
+
+// -----
+
+tai.kernel @eigenvalues_of_another_number(%a: vector<2x2xf32>) {
+  // expected-error @+1 {{expects a result of type 'vector<2xf32>', but got 'vector<2xf64>'}}
+  %0, %1 = "tai.sym_eig"(%a) : (vector<2x2xf32>) -> (vector<2xf64>, vector<2x2xf32>)
+  tai.return
+}
+
+// -----
+
+tai.kernel @generic_local(%a: vector<2xf32>) {
+  // expected-error @+1 {{operand #0 must be local variable}}
+  %0 = "tai.local_load"(%a) : (vector<2xf32>) -> f32
+  tai.return
+}

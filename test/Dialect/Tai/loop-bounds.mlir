@@ -51,13 +51,13 @@ tai.kernel @elements() {
   tai.return
 }
 
-// Bounds that are not known, and no iteration at all.
+// Bounds that are not known. Without any iteration, there would be no loop.
 // CHECK-LABEL: tai.kernel @unknown
 // NARROW-LABEL: tai.kernel @unknown
 tai.kernel @unknown(%n: index) {
   %c0 = arith.constant 0 : index
   %c8 = arith.constant 8 : index
-  tai.parallel_for (%i, %j) = (%c0, %c8) to (%n, %c0) {
+  tai.parallel_for (%i, %j) = (%c0, %n) to (%n, %c8) {
     // CHECK: arith.addi
     %k = arith.addi %i, %j : index
     %v = arith.index_cast %k : index to i32

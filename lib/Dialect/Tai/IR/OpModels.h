@@ -26,9 +26,6 @@ void attachMemoryModels(MLIRContext &context);
 /// Names of SSA values in printed IR.
 void attachAsmNames(MLIRContext &context);
 
-/// Types of results, where the definition of an op does not infer them.
-void attachTypeInference(MLIRContext &context);
-
 /// Folders of ops that only mark values for differentiation.
 void addMarkerFolds(TaiDialect &dialect);
 

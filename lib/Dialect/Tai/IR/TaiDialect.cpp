@@ -70,8 +70,12 @@ void TaiDialect::initialize() {
   addInterfaces<TaiInlinerInterface, PlaceIndex>();
   attachMemoryModels(*getContext());
   attachAsmNames(*getContext());
-  attachTypeInference(*getContext());
   addMarkerFolds(*this);
+}
+
+Operation *TaiDialect::materializeConstant(OpBuilder &builder, Attribute value,
+                                           Type type, Location loc) {
+  return arith::ConstantOp::materialize(builder, value, type, loc);
 }
 
 LogicalResult TaiDialect::verifyOperationAttribute(Operation *op,

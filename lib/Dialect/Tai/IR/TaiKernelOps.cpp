@@ -335,6 +335,52 @@ void ParallelForOp::copyNotesFrom(ParallelForOp other) {
   setOrderAttr(other.getOrderAttr());
 }
 
+/// True if one of the ranges of indices is empty, whatever the launch.
+static bool hasEmptyRange(ParallelForOp loop) {
+  for (auto [lower, upper] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    APInt first, end;
+    if (matchPattern(lower, m_ConstantInt(&first)) &&
+        matchPattern(upper, m_ConstantInt(&end)) && first.sge(end))
+      return true;
+  }
+  return false;
+}
+
+/// True if nothing outside of the loop can tell that it has run: it reads
+/// memory at most, and writes to memory that an iteration makes itself.
+static bool hasNoEffect(ParallelForOp loop) {
+  auto isOwn = [&](Value value) {
+    Operation *op = value ? value.getDefiningOp() : nullptr;
+    return op && loop->isProperAncestor(op) &&
+           hasEffect<MemoryEffects::Allocate>(op, value);
+  };
+  WalkResult result = loop.getBody().walk([&](Operation *op) {
+    if (op->hasTrait<OpTrait::HasRecursiveMemoryEffects>() ||
+        isMemoryEffectFree(op))
+      return WalkResult::advance();
+    auto interface = dyn_cast<MemoryEffectOpInterface>(op);
+    if (!interface)
+      return WalkResult::interrupt();
+    SmallVector<MemoryEffects::EffectInstance> effects;
+    interface.getEffects(effects);
+    for (const MemoryEffects::EffectInstance &effect : effects)
+      if (!isa<MemoryEffects::Read>(effect.getEffect()) &&
+          !isOwn(effect.getValue()))
+        return WalkResult::interrupt();
+    return WalkResult::advance();
+  });
+  return !result.wasInterrupted();
+}
+
+LogicalResult ParallelForOp::canonicalize(ParallelForOp op,
+                                          PatternRewriter &rewriter) {
+  if (!hasEmptyRange(op) && !hasNoEffect(op))
+    return failure();
+  rewriter.eraseOp(op);
+  return success();
+}
+
 SmallVector<Region *> ParallelForOp::getLoopRegions() { return {&getRegion()}; }
 
 std::optional<SmallVector<Value>> ParallelForOp::getLoopInductionVars() {
@@ -394,6 +440,17 @@ LogicalResult AllocaOp::verify() {
       (!isa<ShapedType>(type) || isa<VectorType>(type)))
     return success();
   return emitOpError("expects a scalar or a vector, but got ") << type;
+}
+
+LogicalResult AllocaOp::canonicalize(AllocaOp op, PatternRewriter &rewriter) {
+  // A local that nobody reads.
+  for (Operation *user : op->getUsers())
+    if (!isa<LocalStoreOp>(user))
+      return failure();
+  for (Operation *user : llvm::make_early_inc_range(op->getUsers()))
+    rewriter.eraseOp(user);
+  rewriter.eraseOp(op);
+  return success();
 }
 
 LogicalResult AssertOp::canonicalize(AssertOp op, PatternRewriter &rewriter) {

@@ -5,11 +5,13 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Shape rules of the matrix ops.
+// Shape rules of the matrix ops, their result types, and folds. A fold replaces
+// an op only where the result has the same bits.
 //
 //===----------------------------------------------------------------------===//
 
 #include "mlir/IR/Builders.h"
+#include "mlir/IR/PatternMatch.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -30,11 +32,52 @@ static LogicalResult verifySquare(Operation *op, Type type, int64_t low,
   return diag << ", but got " << type;
 }
 
-/// Checks that the result of `op` has the given shape, and the element type of
-/// `operand`.
-static LogicalResult verifyResult(Operation *op, ArrayRef<int64_t> shape,
-                                  VectorType operand) {
-  auto expected = VectorType::get(shape, operand.getElementType());
+/// Returns the type of the product of a matrix and a matrix or vector, or null
+/// if there is none. Operands of other kinds are possible while an op is made.
+static VectorType inferProduct(Type left, Type right) {
+  auto lhs = dyn_cast<VectorType>(left), rhs = dyn_cast<VectorType>(right);
+  if (!lhs || !rhs || lhs.getRank() != 2 || rhs.getRank() < 1 ||
+      rhs.getRank() > 2)
+    return {};
+  SmallVector<int64_t> shape{lhs.getDimSize(0)};
+  llvm::append_range(shape, rhs.getShape().drop_front());
+  return VectorType::get(shape, lhs.getElementType());
+}
+
+static VectorType inferTranspose(Type type) {
+  auto matrix = dyn_cast<VectorType>(type);
+  if (!matrix || matrix.getRank() != 2)
+    return {};
+  return VectorType::get({matrix.getDimSize(1), matrix.getDimSize(0)},
+                         matrix.getElementType());
+}
+
+static VectorType inferOuter(Type left, Type right) {
+  auto lhs = dyn_cast<VectorType>(left), rhs = dyn_cast<VectorType>(right);
+  if (!lhs || !rhs || lhs.getRank() != 1 || rhs.getRank() != 1)
+    return {};
+  return VectorType::get({lhs.getDimSize(0), rhs.getDimSize(0)},
+                         lhs.getElementType());
+}
+
+/// Returns the type of the first column of a matrix, or null.
+static VectorType inferColumn(Type type) {
+  auto matrix = dyn_cast<VectorType>(type);
+  if (!matrix || matrix.getRank() != 2)
+    return {};
+  return VectorType::get(matrix.getDimSize(0), matrix.getElementType());
+}
+
+/// Adds `type` to the inferred types of results; fails if it is null.
+static LogicalResult addInferred(Type type, SmallVectorImpl<Type> &types) {
+  if (!type)
+    return failure();
+  types.push_back(type);
+  return success();
+}
+
+/// Checks that the first result of `op` has the type `expected`.
+static LogicalResult verifyResult(Operation *op, VectorType expected) {
   Type actual = op->getResult(0).getType();
   if (actual == expected)
     return success();
@@ -52,22 +95,56 @@ LogicalResult MatmulOp::verify() {
   if (lhs.getElementType() != rhs.getElementType())
     return emitOpError("expects operands of one element type, but got ")
            << lhs.getElementType() << " and " << rhs.getElementType();
-  SmallVector<int64_t> shape{lhs.getDimSize(0)};
-  if (rhs.getRank() == 2)
-    shape.push_back(rhs.getDimSize(1));
-  return verifyResult(*this, shape, lhs);
+  return verifyResult(*this, inferProduct(lhs, rhs));
+}
+
+LogicalResult MatmulOp::inferReturnTypes(MLIRContext *, std::optional<Location>,
+                                         ValueRange operands, DictionaryAttr,
+                                         OpaqueProperties, RegionRange,
+                                         SmallVectorImpl<Type> &types) {
+  return addInferred(inferProduct(operands[0].getType(), operands[1].getType()),
+                     types);
 }
 
 LogicalResult TransposeOp::verify() {
-  auto type = cast<VectorType>(getMatrix().getType());
-  return verifyResult(*this, {type.getDimSize(1), type.getDimSize(0)}, type);
+  return verifyResult(*this, inferTranspose(getMatrix().getType()));
 }
 
-OpFoldResult TransposeOp::fold(FoldAdaptor) {
+LogicalResult TransposeOp::inferReturnTypes(MLIRContext *,
+                                            std::optional<Location>,
+                                            ValueRange operands, DictionaryAttr,
+                                            OpaqueProperties, RegionRange,
+                                            SmallVectorImpl<Type> &types) {
+  return addInferred(inferTranspose(operands[0].getType()), types);
+}
+
+OpFoldResult TransposeOp::fold(FoldAdaptor adaptor) {
   // (Aᵀ)ᵀ = A.
   if (auto inner = getMatrix().getDefiningOp<TransposeOp>())
     return inner.getMatrix();
-  return {};
+  auto matrix = dyn_cast_if_present<DenseElementsAttr>(adaptor.getMatrix());
+  if (!matrix)
+    return {};
+  auto type = cast<VectorType>(getType());
+  if (matrix.isSplat())
+    return matrix.resizeSplat(type);
+  SmallVector<Attribute> elements(matrix.getValues<Attribute>());
+  SmallVector<Attribute> moved;
+  int64_t rows = type.getDimSize(0), columns = type.getDimSize(1);
+  for (int64_t row = 0; row < rows; ++row)
+    for (int64_t column = 0; column < columns; ++column)
+      moved.push_back(elements[column * rows + row]);
+  return DenseElementsAttr::get(type, moved);
+}
+
+LogicalResult TransposeOp::canonicalize(TransposeOp op,
+                                        PatternRewriter &rewriter) {
+  // (a bᵀ)ᵀ = b aᵀ: the same products.
+  auto outer = op.getMatrix().getDefiningOp<OuterOp>();
+  if (!outer || !outer->hasOneUse())
+    return failure();
+  rewriter.replaceOpWithNewOp<OuterOp>(op, outer.getRhs(), outer.getLhs());
+  return success();
 }
 
 LogicalResult CrossOp::verify() {
@@ -83,7 +160,15 @@ LogicalResult OuterOp::verify() {
   if (lhs.getElementType() != rhs.getElementType())
     return emitOpError("expects operands of one element type, but got ")
            << lhs.getElementType() << " and " << rhs.getElementType();
-  return verifyResult(*this, {lhs.getDimSize(0), rhs.getDimSize(0)}, lhs);
+  return verifyResult(*this, inferOuter(lhs, rhs));
+}
+
+LogicalResult OuterOp::inferReturnTypes(MLIRContext *, std::optional<Location>,
+                                        ValueRange operands, DictionaryAttr,
+                                        OpaqueProperties, RegionRange,
+                                        SmallVectorImpl<Type> &types) {
+  return addInferred(inferOuter(operands[0].getType(), operands[1].getType()),
+                     types);
 }
 
 LogicalResult TraceOp::verify() {
@@ -91,6 +176,15 @@ LogicalResult TraceOp::verify() {
   if (type.getDimSize(0) == type.getDimSize(1))
     return success();
   return emitOpError("expects a square matrix, but got ") << type;
+}
+
+OpFoldResult TraceOp::fold(FoldAdaptor) {
+  // A matrix and its transpose have one diagonal.
+  if (auto inner = getMatrix().getDefiningOp<TransposeOp>()) {
+    getMatrixMutable().assign(inner.getMatrix());
+    return getResult();
+  }
+  return {};
 }
 
 LogicalResult DeterminantOp::verify() {
@@ -122,5 +216,16 @@ LogicalResult SymEigOp::verify() {
   auto matrix = cast<VectorType>(getMatrix().getType());
   if (failed(verifySquare(*this, matrix, 2, 3)))
     return failure();
-  return verifyResult(*this, {matrix.getDimSize(0)}, matrix);
+  return verifyResult(*this, inferColumn(matrix));
+}
+
+LogicalResult SymEigOp::inferReturnTypes(MLIRContext *, std::optional<Location>,
+                                         ValueRange operands, DictionaryAttr,
+                                         OpaqueProperties, RegionRange,
+                                         SmallVectorImpl<Type> &types) {
+  Type matrix = operands[0].getType();
+  if (failed(addInferred(inferColumn(matrix), types)))
+    return failure();
+  types.push_back(matrix);
+  return success();
 }

@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "mlir/IR/PatternMatch.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -16,4 +17,16 @@ LogicalResult StackCreateOp::verify() {
       (type.isIntOrFloat() && type.getIntOrFloatBitWidth() <= 64))
     return success();
   return emitOpError("expects a scalar of at most 64 bits, but got ") << type;
+}
+
+LogicalResult StackCreateOp::canonicalize(StackCreateOp op,
+                                          PatternRewriter &rewriter) {
+  // A stack that nobody pops from.
+  for (Operation *user : op->getUsers())
+    if (!isa<StackPushOp, StackDestroyOp>(user))
+      return failure();
+  for (Operation *user : llvm::make_early_inc_range(op->getUsers()))
+    rewriter.eraseOp(user);
+  rewriter.eraseOp(op);
+  return success();
 }

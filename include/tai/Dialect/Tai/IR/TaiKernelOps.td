@@ -230,6 +230,7 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
   let regions = (region SizedRegion<1>:$body);
   let hasCustomAssemblyFormat = 1;
   let hasVerifier = 1;
+  let hasCanonicalizeMethod = 1;
   let skipDefaultBuilders = 1;
   let builders = [
     OpBuilder<(ins "::mlir::ValueRange":$lowerBounds,
@@ -273,11 +274,15 @@ def Tai_AllocaOp : Tai_Op<"alloca", []> {
   let results = (outs Res<Tai_AnyLocal, "", [MemAlloc]>:$local);
   let assemblyFormat = "attr-dict `:` qualified(type($local))";
   let hasVerifier = 1;
+  let hasCanonicalizeMethod = 1;
 }
 
 def Tai_LocalLoadOp : Tai_Op<"local_load", [
     TypesMatchWith<"the local holds the result type", "value", "local",
-                   "::mlir::tai::LocalType::get($_self)">]> {
+                   "::mlir::tai::LocalType::get($_self)">,
+    TypesMatchWith<"the result is what the local holds", "local", "value",
+                   "::llvm::cast<::mlir::tai::LocalType>($_self)"
+                   ".getElementType()">]> {
   let summary = "read a local variable";
   let description = [{
     Yields the value last stored to the variable, or zero; see `tai.alloca`.

@@ -19,9 +19,25 @@ class Tai_MatrixOp<string mnemonic, list<Trait> traits = []>
   let hasVerifier = 1;
 }
 
+/// Base class of ops whose result has a shape made from those of the operands.
+/// The verifier of the op reports a wrong result, and names the right type.
+class Tai_ShapedMatrixOp<string mnemonic, list<Trait> traits = []>
+    : Tai_MatrixOp<mnemonic, !listconcat(traits, [
+        DeclareOpInterfaceMethods<InferTypeOpInterface,
+                                  ["refineReturnTypes"]>])> {
+  let extraClassDefinition = [{
+    ::llvm::LogicalResult $cppClass::refineReturnTypes(
+        ::mlir::MLIRContext *, ::std::optional<::mlir::Location>,
+        ::mlir::ValueRange, ::mlir::DictionaryAttr, ::mlir::OpaqueProperties,
+        ::mlir::RegionRange, ::llvm::SmallVectorImpl<::mlir::Type> &) {
+      return ::mlir::success();
+    }
+  }];
+}
+
 let opDocGroup = MatrixOpGroup in {
 
-def Tai_MatmulOp : Tai_MatrixOp<"matmul"> {
+def Tai_MatmulOp : Tai_ShapedMatrixOp<"matmul"> {
   let summary = "matrix-matrix or matrix-vector product";
   let description = [{
     The product of an n×k matrix and a k×m matrix, or an n×k matrix and a
@@ -37,7 +53,7 @@ def Tai_MatmulOp : Tai_MatrixOp<"matmul"> {
   let assemblyFormat = "$lhs `,` $rhs attr-dict `:` functional-type(operands, results)";
 }
 
-def Tai_TransposeOp : Tai_MatrixOp<"transpose"> {
+def Tai_TransposeOp : Tai_ShapedMatrixOp<"transpose"> {
   let summary = "transpose of a matrix";
   let description = [{
     ```mlir
@@ -48,6 +64,7 @@ def Tai_TransposeOp : Tai_MatrixOp<"transpose"> {
   let results = (outs Tai_NumberMatrix:$result);
   let assemblyFormat = "$matrix attr-dict `:` type($matrix) `->` type($result)";
   let hasFolder = 1;
+  let hasCanonicalizeMethod = 1;
 }
 
 def Tai_DotOp : Tai_MatrixOp<"dot", [AllTypesMatch<["lhs", "rhs"]>,
@@ -96,7 +113,7 @@ def Tai_CrossOp : Tai_MatrixOp<"cross", [
   let assemblyFormat = "$lhs `,` $rhs attr-dict `:` type($lhs)";
 }
 
-def Tai_OuterOp : Tai_MatrixOp<"outer"> {
+def Tai_OuterOp : Tai_ShapedMatrixOp<"outer"> {
   let summary = "outer product of two vectors";
   let description = [{
     The matrix aᵢ bⱼ.
@@ -234,6 +251,7 @@ def Tai_TraceOp : Tai_MatrixOp<"trace", [
   let arguments = (ins Tai_NumberMatrix:$matrix);
   let results = (outs AnyTypeOf<[AnySignlessInteger, AnyFloat]>:$result);
   let assemblyFormat = "$matrix attr-dict `:` type($matrix)";
+  let hasFolder = 1;
 }
 
 def Tai_DeterminantOp : Tai_MatrixOp<"determinant", [
@@ -317,7 +335,7 @@ def Tai_SvdOp : Tai_MatrixOp<"svd", [
   let assemblyFormat = "$matrix attr-dict `:` type($matrix)";
 }
 
-def Tai_SymEigOp : Tai_MatrixOp<"sym_eig", [
+def Tai_SymEigOp : Tai_ShapedMatrixOp<"sym_eig", [
     AllTypesMatch<["matrix", "vectors"]>]> {
   let summary = "eigenvalues and eigenvectors of a symmetric matrix";
   let description = [{

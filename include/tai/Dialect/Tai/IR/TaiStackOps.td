@@ -40,6 +40,7 @@ def Tai_StackCreateOp : Tai_Op<"stack_create"> {
   let results = (outs Res<Tai_AnyStack, "", [MemAlloc]>:$stack);
   let assemblyFormat = "attr-dict `:` qualified(type($stack))";
   let hasVerifier = 1;
+  let hasCanonicalizeMethod = 1;
 }
 
 def Tai_StackPushOp : Tai_Op<"stack_push", [
@@ -56,7 +57,10 @@ def Tai_StackPushOp : Tai_Op<"stack_push", [
 
 def Tai_StackPopOp : Tai_Op<"stack_pop", [
     TypesMatchWith<"the stack holds the type of the value", "value", "stack",
-                   "::mlir::tai::StackType::get($_self)">]> {
+                   "::mlir::tai::StackType::get($_self)">,
+    TypesMatchWith<"the value is what the stack holds", "stack", "value",
+                   "::llvm::cast<::mlir::tai::StackType>($_self)"
+                   ".getElementType()">]> {
   let summary = "pop the last value from a stack";
   let description = [{
     The stack must not be empty. See `tai.stack_create`.
