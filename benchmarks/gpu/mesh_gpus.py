@@ -144,7 +144,10 @@ def smoke(together: bool, n: int, m: int) -> Callable[[], tuple[float, float, fl
     v, w = (ti.Vector.field(2, ti.f32) for _ in range(2))
     p, q, div, dye, ink = (ti.field(ti.f32) for _ in range(5))
     loss = ti.field(ti.f32)
-    rows(together, ti.i).dense(ti.ij, (n, m)).place(v, w, p, q, div, dye, ink)
+    # A tree for each field, as arrays are: in one tree, their elements would be interleaved, and a
+    # step for the pressure would load all of them.
+    for field in (v, w, p, q, div, dye, ink):
+        rows(together, ti.i).dense(ti.ij, (n, m)).place(field)
     ti.root.place(loss)
     ti.root.lazy_grad()
 
