@@ -18,6 +18,8 @@ from .solution import Part, lines_of
 MARGIN_OF_F64 = 8.0
 # The error of f64 may exceed 2^-29 times the measured error of f32 by this factor.
 MARGIN_OF_DRAW = 4.0
+# The error next to shadows is of one order of the operations, and may exceed that by this factor.
+MARGIN_OF_SHADOWS = 1.5
 # The size of f64 roundings relative to f32 roundings, and the same for fast elementary functions.
 OF_F64, OF_FAST = 2.0**-29, 4.0
 # The least bytes of a field that gains from a narrower type.

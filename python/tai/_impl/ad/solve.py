@@ -1,7 +1,4 @@
-"""`ti.solve_to`: the cheapest types, modes and steps that keep loss and gradient within an error.
-
-See docs/guides/solve-to.md and docs/decisions/0065-solve-to.md.
-"""
+"""`ti.solve_to`, the cheapest types, modes and steps for an error: docs/guides/solve-to.md."""
 
 from __future__ import annotations
 
@@ -29,6 +26,7 @@ from .choices import (
     LEAST_BYTES,
     MARGIN_OF_DRAW,
     MARGIN_OF_F64,
+    MARGIN_OF_SHADOWS,
     NARROW,
     OF_F64,
     OF_FAST,
@@ -46,6 +44,7 @@ from .memory import parse_checkpoint
 from .precision import PrecisionReport, find_not_finite, owner_of
 from .retype import Version, can_change
 from .seeds import number_of, require_grad
+from .shadowed import error_of_f64
 from .slopes import Slopes
 from .snapshot import Snapshot
 from .solution import Part, Solution, find_short_fields, options_of, place_of, worst_of
@@ -573,7 +572,7 @@ class _Search:
                 # The code of f64 exists. It may be faster: a solver converges in fewer iterations.
                 if choice.modes == reference.modes and self._iterations < MOST_ITERATIONS - 6:
                     reference.seconds = math.inf
-                    self._scale_from_f32(choices, base)
+                    self._scale_from_f32(choices, reference, base)
                     if self._try(choice, reference, base, room):
                         passed.append(choice)
                 break
@@ -584,7 +583,7 @@ class _Search:
             if self._iterations > MOST_ITERATIONS - 6 and choice.base is not dtypes.f64:
                 continue
             if choice.base is dtypes.f64:
-                self._scale_from_f32(choices, base)
+                self._scale_from_f32(choices, reference, base)
             if self._try(choice, reference, base, room):
                 passed.append(choice)
                 if choice.base is dtypes.f64:
@@ -607,7 +606,7 @@ class _Search:
             if not passed:
                 wide = next((c for c in hopeful if c.base is dtypes.f64), None)
                 if wide is not None:
-                    self._scale_from_f32(choices, base)
+                    self._scale_from_f32(choices, reference, base)
                 if wide is not None and self._try(wide, reference, base, room):
                     passed = [wide]
         _refuse(
@@ -617,9 +616,9 @@ class _Search:
             "ask for a greater error",
         )
 
-    def _scale_from_f32(self, choices: list[Choice], base: Any) -> None:
+    def _scale_from_f32(self, choices: list[Choice], reference: Version, base: Any) -> None:
         """Raises the error estimates of f64 to what the measured error of f32 implies; or, where
-        f32 has no digits, to what the results of near inputs show.
+        f32 has no digits, to what shadows and the results of near inputs show.
         """
         plain = next(choice for choice in choices if choice.name == "f32")
         if not math.isfinite(max(plain.errors)):
@@ -631,10 +630,14 @@ class _Search:
             except TaiError:
                 pass
         measured = max(plain.errors)
-        if measured < _NO_DIGITS:
-            least = OF_F64 * measured * MARGIN_OF_DRAW
-        else:
-            least = self._slopes.spread(MOST_ITERATIONS - 4 - self._iterations)
+        least = OF_F64 * measured * MARGIN_OF_DRAW
+        if not measured < _NO_DIGITS:
+            least = self._slopes.spread(MOST_ITERATIONS - 5 - self._iterations)
+            self._iterations += 1
+            self._start.restore()
+            with reference:
+                off = error_of_f64(self._run, self._options, self._loss, self._unknowns)
+            least = max(least, MARGIN_OF_SHADOWS * off)
         for choice in choices:
             if choice.base is dtypes.f64:
                 choice.estimate = max(choice.estimate, least / MARGIN_OF_F64)

@@ -60,7 +60,9 @@ def test_a_small_tape_keeps_everything():
     assert found.modes["tape"] == "everything"
     with ti.ad.Tape(loss) as tape:
         run()
-    assert found.memory == tape.memory
+    # Either type may be the fastest.
+    wide = 2 if found.modes["precision"] == "f64" else 1
+    assert found.memory == wide * tape.memory
     assert is_right(found, value, gradient, 1e-4)
     assert "the tape keeps" in str(found)
 
