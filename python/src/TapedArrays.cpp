@@ -24,8 +24,9 @@ struct TapedArrays {
   std::unordered_map<PyObject *, TapedArray> arrays;
   /// Memory of arrays with strides.
   std::vector<std::pair<uint64_t, uint64_t>> others;
-  /// Null if Python code must see each new tensor.
-  std::shared_ptr<NotedTensors> noted;
+  /// Null if Python code must see each new tensor; its Python object.
+  NotedTensors *noted = nullptr;
+  py::object notedObject;
 };
 /// A pointer, since destructors at the end of a thread run without Python's
 /// lock.
@@ -159,7 +160,8 @@ bool taipy::overlapsOthers(const PyObject *object, uint64_t begin,
 bool taipy::noteTensors(const std::vector<UsedTensor> &used,
                         PyObject *launcher) {
   // Python code that runs meanwhile may end the tape.
-  std::shared_ptr<NotedTensors> noted = taped->noted;
+  py::object kept = taped->notedObject;
+  NotedTensors *noted = taped->noted;
   try {
     for (const UsedTensor &one : used) {
       note(*noted, one, launcher);
@@ -202,29 +204,40 @@ void taipy::setArrayTape(PyObject *tape) {
     return;
   forgetArrays();
   taped = new TapedArrays{
-      py::reinterpret_borrow<py::object>(tape), {}, {}, nullptr};
+      py::reinterpret_borrow<py::object>(tape), {}, {}, nullptr, {}};
 }
 
 void taipy::bindTapedArrays(py::module_ &module) {
-  py::class_<NotedTensors, std::shared_ptr<NotedTensors>>(module,
-                                                          "NotedTensors")
-      .def(py::init<const py::object &>(), py::arg("tape"))
-      .def("are_unchanged", &areUnchanged)
-      .def("take", &takeNoted)
-      // A tensor on a GPU, or None.
-      .def("on_device",
-           [](const NotedTensors &noted) -> py::object {
-             for (const NotedTensor &one : noted.tensors)
-               if (one.isOnDevice)
-                 return one.memory;
-             return py::none();
-           })
-      .def("__len__",
-           [](const NotedTensors &noted) { return noted.tensors.size(); });
+  // A capsule, since pybind11 allocates memory for objects of its classes where
+  // no exception is caught.
+  module.def("note_tensors", [](const py::object &tape) {
+    auto noted = std::make_unique<NotedTensors>(tape);
+    py::capsule owner(noted.get(), [](void *one) {
+      delete static_cast<NotedTensors *>(one);
+    });
+    noted.release();
+    return owner;
+  });
+  module.def("are_noted_unchanged", [](const py::capsule &noted) {
+    return areUnchanged(*noted.get_pointer<NotedTensors>());
+  });
+  module.def("take_noted", [](const py::capsule &noted) {
+    return takeNoted(*noted.get_pointer<NotedTensors>());
+  });
+  // A tensor on a GPU, or None.
+  module.def("noted_on_device", [](const py::capsule &noted) -> py::object {
+    for (const NotedTensor &one : noted.get_pointer<NotedTensors>()->tensors)
+      if (one.isOnDevice)
+        return one.memory;
+    return py::none();
+  });
   // From now on, launches of the tape that this thread records note tensors.
-  module.def("follow_tensors", [](std::shared_ptr<NotedTensors> noted) {
-    if (taped && taped->tape.is(noted->owner))
-      taped->noted = std::move(noted);
+  module.def("follow_tensors", [](const py::capsule &noted) {
+    auto *tensors = noted.get_pointer<NotedTensors>();
+    if (!taped || !taped->tape.is(tensors->owner))
+      return;
+    taped->notedObject = noted;
+    taped->noted = tensors;
   });
   module.def("note_taped_array", [](const py::object &array, uint64_t address,
                                     uint64_t bytes, int64_t version) {

@@ -323,7 +323,7 @@ class TapeArrays:
         self._core, self._runs_again, self._launcher = core, runs_again, native
         # Tensors of launches without Python, until `_learn` is called; see
         # python/src/TapedArrays.h.
-        self._noted = None if runs_again else native.NotedTensors(core)
+        self._noted = None if runs_again else native.note_tensors(core)
         # A callback for the gradient of each array that a launch uses. The reference is weak
         # because the callback is a method of the tape.
         self._take = take
@@ -353,9 +353,12 @@ class TapeArrays:
         if self._noted is not None:
             native.follow_tensors(self._noted)
 
+    def _take_noted(self) -> list:
+        return [] if self._noted is None else native.take_noted(self._noted)
+
     def _learn(self) -> None:
         """Takes over what launches without Python have noted."""
-        for tensor, memory, gradient, version, *launch in self._noted.take() if self._noted else ():
+        for tensor, memory, gradient, version, *launch in self._take_noted():
             kernel, number, is_written, is_restored = launch
             array: Any = device_arrays.as_device_array(memory)
             if array is None:
@@ -379,7 +382,7 @@ class TapeArrays:
 
     def _learn_changes(self) -> None:
         """Takes over what launches without Python have noted, unless a sweep can do without."""
-        if self._noted and not self._noted.are_unchanged():
+        if self._noted is not None and not native.are_noted_unchanged(self._noted):
             self._learn()
 
     def use(self, held: HeldArray) -> Any:
@@ -544,7 +547,8 @@ class TapeArrays:
 
     def of_streams(self) -> list[device_arrays.DeviceArray]:
         """Returns a GPU array of each library."""
-        tensor = None if self.streams or not self._noted else self._noted.on_device()
+        is_known = self.streams or self._noted is None
+        tensor = None if is_known else native.noted_on_device(self._noted)
         if tensor is not None:
             array: Any = device_arrays.as_device_array(tensor)
             self.streams[array.library] = array
