@@ -24,8 +24,9 @@ class PassManager;
 
 namespace mlir::tai {
 
-/// What each pass did in all runs of a tool: how often it ran, how many ops it
-/// saw, and by how much the numbers of ops and attributes of each name changed.
+/// Counts, for each pass in all runs of a tool, how often it ran, how many ops
+/// it saw, and by how much the numbers of ops and attributes of each name
+/// changed.
 /// Any pass has these numbers. The statistics that passes of MLIR count
 /// themselves are compiled out of Debian's libMLIR.so.
 class PassStatistics {

@@ -41,22 +41,19 @@ public:
 
   /// True if the first accesses to the field store all of its elements.
   bool match(KernelOp kernel) {
-    Progress progress;
-    return visitKernel(kernel.getBody().front(), progress) && progress.isDone;
+    bool isDone = false;
+    return visitKernel(kernel.getBody().front(), isDone) && isDone;
   }
   /// Makes these accesses start at zero if the launch says so.
   void rewrite(uint32_t number) const;
 
 private:
-  struct Progress {
-    bool isDone = false;
-  };
   /// The components of an element that have been stored.
   using Stored = SmallVector<bool, 4>;
 
   bool isAccess(Operation *op) const;
   bool hasAccess(Operation *op) const;
-  bool visitKernel(Block &block, Progress &progress);
+  bool visitKernel(Block &block, bool &isDone);
   bool coversField(ParallelForOp loop) const;
   bool visitBody(ParallelForOp loop, Block &block, Stored &stored);
   bool visitAddition(ParallelForOp loop, AtomicOp op, Stored &stored);
@@ -164,12 +161,12 @@ bool FirstStores::visitBody(ParallelForOp loop, Block &block, Stored &stored) {
 }
 
 /// Visits a block of the kernel outside of parallel loops, up to the loop that
-/// stores the field.
-bool FirstStores::visitKernel(Block &block, Progress &progress) {
+/// stores the field, and sets `isDone` there.
+bool FirstStores::visitKernel(Block &block, bool &isDone) {
   for (Operation &op : block) {
     if (isa<CallOpInterface>(op))
       return false;
-    if (progress.isDone || !hasAccess(&op))
+    if (isDone || !hasAccess(&op))
       continue;
     if (auto loop = dyn_cast<ParallelForOp>(op)) {
       indices.clear();
@@ -177,16 +174,16 @@ bool FirstStores::visitKernel(Block &block, Progress &progress) {
       if (!visitBody(loop, loop.getBody().front(), stored) ||
           llvm::is_contained(stored, false))
         return false;
-      progress.isDone = true;
+      isDone = true;
       continue;
     }
     auto branch = dyn_cast<scf::IfOp>(op);
     if (!branch || branch.getElseRegion().empty())
       return false;
-    Progress other = progress;
-    if (!visitKernel(branch.getThenRegion().front(), progress) ||
-        !visitKernel(branch.getElseRegion().front(), other) ||
-        progress.isDone != other.isDone)
+    bool isDoneElse = isDone;
+    if (!visitKernel(branch.getThenRegion().front(), isDone) ||
+        !visitKernel(branch.getElseRegion().front(), isDoneElse) ||
+        isDone != isDoneElse)
       return false;
   }
   return true;

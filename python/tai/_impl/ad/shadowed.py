@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import TaiError
 from ..launch.shadow_values import shadow_values, shadows
 from .tape import Tape
+from .tuning import distance
 
 
 def error_of_f64(
@@ -29,19 +30,15 @@ def error_of_f64(
         with shadows():
             with Tape(loss):
                 run(**options)
-            pairs = [_values(loss)]
-            grads = [_values(f._companions["grad"]) for f in unknowns]
+            values = [_values(f) for f in [loss, *(f._companions["grad"] for f in unknowns)]]
     except (TaiError, AttributeError):
         return 0.0
-    if grads:
-        plain, wide = zip(*grads, strict=True)
-        pairs.append((np.concatenate(plain), np.concatenate(wide)))
-    errors = []
-    for found, exact in pairs:
-        size = float(np.linalg.norm(exact.astype(float)))
-        apart = float(np.linalg.norm((found - exact).astype(float)))
-        errors.append(apart / size if size else 0.0)
-    return max(errors) if all(np.isfinite(errors)) else 0.0
+    found, exact = (
+        (number[0], np.concatenate([number[:0], *gradients]))
+        for number, *gradients in zip(*values, strict=True)
+    )
+    error = max(distance(found, exact))
+    return error if np.isfinite(error) else 0.0
 
 
 def _values(field: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -74,9 +74,8 @@ class Slopes:
                 f"{short:.0e}{self.magnified()}",
                 "differentiate over a shorter time",
             )
-        if (
-            self._off(closer) < self._off(h) / _RATIO
-        ):  # the error shrinks with the square of the step
+        # The error of a smooth loss shrinks with the square of the step.
+        if self._off(closer) < self._off(h) / _RATIO:
             closest = closer / _RATIO
             if self._off(closest) <= self._tolerance + 4 * rounding / closest:
                 return None

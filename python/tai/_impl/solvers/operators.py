@@ -77,9 +77,9 @@ def _offset(field: Any) -> tuple[int, ...]:
 def scratch(like: Any, role: str, rows: int = 0, columns: int = 0) -> Any:
     """A scratch field with the elements of another field, for the solvers of this thread.
 
-    Those whose role is `image` have a gradient, and some have a dual. With `rows`, it holds
-    that many times the elements, by an index in front of theirs; with `columns`, that many rows
-    and one column more of numbers in the place of each element.
+    Scratch fields whose role is `image` have a gradient, and some have a dual. With `rows`, it
+    holds that many times the elements, by an index in front of theirs; with `columns`, that many
+    rows and one column more of numbers in the place of each element.
     """
     get_program()
     offset, shape, element = _offset(like), like.shape, like.element_shape

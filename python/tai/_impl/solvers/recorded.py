@@ -91,9 +91,8 @@ def run(
         info.take(progress)
         caller.warn(operator, progress, "field", True)
         if has_tangents:
-            kernels.copy(
-                solution, found
-            )  # a tape saves tangents where values with them are written
+            # A tape saves tangents where values with them are written.
+            kernels.copy(solution, found)
         if is_forward() and solve_tangent is not None:
             _take_tangent(caller, operator, solve_tangent, solution)
 
