@@ -240,9 +240,12 @@ class Tape(native.WithBlock):
 
     def _end(self) -> None:
         """Releases the fields to other threads, even if there was no sweep."""
-        if not self._is_open:
-            return
-        self._forget()
+        if self._is_open:
+            self._forget()
+            self._release()
+
+    def _release(self) -> None:
+        """Releases the fields of a tape that no longer records."""
         if self._core is not None:
             self._core.end(False)
         if self._values is not None:
@@ -266,7 +269,7 @@ class Tape(native.WithBlock):
         finally:
             if self._probes is not None:
                 self._rounding = self._probes.take()
-        self._end()
+        self._release()
         if kind is None and not self._losses and self._outer_loss is None and self._core.records:
             self._missing = _Missing([])
             self._missing.is_missing = True

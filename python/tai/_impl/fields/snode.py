@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import html
 import math
 import threading
@@ -253,7 +254,7 @@ class SNode:
                 total[axis] = total.get(axis, 1) * extent
         return dict(sorted(total.items()))
 
-    @property
+    @functools.cached_property
     def shape(self) -> tuple[int, ...]:
         """The number of cells along each dimension, over all levels down to this one."""
         return tuple(self.axis_extents().values())
