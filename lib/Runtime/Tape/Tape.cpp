@@ -374,12 +374,15 @@ const std::string &Tape::explain() {
   if (!tape.plan.isMade(tape.recording))
     plan();
   tape.report.begin();
-  for (size_t i = 0; i < tape.recording.size(); ++i)
-    tape.report.addRecord(
-        tape.recording, tape.plan, tape.forms, i,
-        tape.memory.bytesAt(static_cast<uint32_t>(i)),
-        tape.rematerialiser.countAt(i),
-        std::binary_search(tape.notRun.begin(), tape.notRun.end(), i));
+  auto reason = tape.runReasons.begin(), end = tape.runReasons.end();
+  for (size_t i = 0; i < tape.recording.size(); ++i) {
+    const RunReason *ran = nullptr;
+    for (; reason != end && reason->first <= i; ++reason)
+      ran = &reason->second;
+    tape.report.addRecord(tape.recording, tape.plan, tape.forms, i,
+                          tape.memory.bytesAt(static_cast<uint32_t>(i)),
+                          tape.rematerialiser.countAt(i), ran);
+  }
   if (tape.isDirect() && tape.direct.findForward())
     tape.report.addDirect(tape.recording.size(), "launches");
   if (planHolds(/*cleared=*/true) && tape.isDirect() &&

@@ -50,10 +50,11 @@ struct Tape::Parts {
   TapeHolds holds;
   TapeRecording recording;
   KnownKernels known;
-  /// Of an incremental tape: the launches that need not run again, and the
-  /// records that did not run. Otherwise null.
+  /// Of an incremental tape: the launches that need not run again. Otherwise
+  /// null.
   std::shared_ptr<KnownRuns> runs;
-  std::vector<uint32_t> notRun;
+  /// By record: the reasons for which launches of an incremental tape ran.
+  std::vector<std::pair<uint32_t, RunReason>> runReasons;
   TapeMemory memory;
   TapeTopology topology;
   std::unique_ptr<AccessChecks> checks;

@@ -177,7 +177,7 @@ static std::string explainDecision(Decision decision, const Kernel *kernel,
 void TapeReport::addRecord(const TapeRecording &recording, const TapePlan &plan,
                            const AdjointForms &forms, size_t index,
                            int64_t savedBytes, uint32_t timesRecomputed,
-                           bool isUnchanged) {
+                           const RunReason *ran) {
   const TapeRecording::Record &record = recording[index];
   std::string reader;
   if (plan[index] == Decision::Replay)
@@ -190,10 +190,8 @@ void TapeReport::addRecord(const TapeRecording &recording, const TapePlan &plan,
     text += "; saved " + formatBytes(savedBytes);
   if (timesRecomputed)
     text += "; recomputed " + std::to_string(timesRecomputed) + " times";
-  if (isUnchanged)
-    text +=
-        "; did not run: its fields hold its results, since none of them has "
-        "been written";
+  if (ran)
+    text += (*ran ? "; ran: " : "; did not run: ") + ran->describe();
   text += '\n';
 }
 

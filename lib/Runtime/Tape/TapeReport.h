@@ -8,6 +8,7 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_TAPEREPORT_H
 #define TAI_LIB_RUNTIME_TAPE_TAPEREPORT_H
 
+#include "Record/KnownRuns.h"
 #include "Sweep/Rematerialiser.h"
 
 namespace mlir::tai::runtime {
@@ -18,10 +19,11 @@ public:
   std::vector<std::string> notes;
 
   void begin() { text.clear(); }
-  /// Adds a line with the decision on a record, and its reason.
+  /// Adds a line with the decision on a record, and its reason. `ran`, of an
+  /// incremental tape, says whether the launch ran; it may be null.
   void addRecord(const TapeRecording &recording, const TapePlan &plan,
                  const AdjointForms &forms, size_t index, int64_t savedBytes,
-                 uint32_t timesRecomputed, bool isUnchanged);
+                 uint32_t timesRecomputed, const RunReason *ran);
   /// Adds a line to the text that says how many functions a replay calls
   /// directly.
   void addDirect(size_t count, const char *what);

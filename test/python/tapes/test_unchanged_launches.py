@@ -236,3 +236,79 @@ def test_it_is_decided_before_the_tape_records():
     with pytest.raises(Exception, match="before it records"), ti.ad.Tape(scene.loss) as tape:
         scene.weigh()
         tape._core.skip_unchanged()
+
+
+def reasons(tape):
+    lines = tape.explain().splitlines()
+    return [line.partition("; ran: ")[2] for line in lines if line[0].isdigit()]
+
+
+@pytest.mark.skipif(not ON_CPU, reason="a device runs all launches")
+def test_explain_says_why_a_launch_ran():
+    scene = Scene()
+    n = ti.Vector.field(2, ti.f32, shape=N, needs_grad=True)
+    n.fill(0)
+    cells = ti.field(ti.f32, needs_grad=True)
+    ti.root.pointer(ti.i, 8).dense(ti.i, 8).place(cells, cells.grad)
+    x, loss = scene.x, scene.loss
+
+    @ti.kernel
+    def draw():
+        for i in n:
+            n[i].x = ti.random()
+
+    @ti.kernel
+    def step():
+        for i in x:
+            n[i].y += x[i]
+
+    @ti.kernel
+    def shift():
+        for i in range(N - 1):
+            n[i].y = n[i].x * x[i]
+
+    @ti.kernel
+    def touch():
+        for i in x:
+            cells[i] = x[i]
+
+    @ti.kernel
+    def take(a: ti.types.ndarray(dtype=ti.f32, ndim=1)):
+        for i in x:
+            n[i].x = a[i] * x[i]
+
+    @ti.kernel
+    def give() -> ti.f32:
+        return x[0]
+
+    a = np.ones(N, np.float32)
+
+    def sweep(**options):
+        with ti.ad.Tape(loss, incremental=True, **options) as tape:
+            scene.feature(1.5)
+            scene.weigh()
+            draw()
+            step()
+            touch()
+            take(a)
+            give()
+        return reasons(tape)
+
+    first = sweep()
+    assert first[0] == "no launch with these arguments is known to incremental tapes"
+    second = sweep()
+    assert second[0] == ""
+    assert second[1] == "the kernel accumulates into @field_3"
+    assert second[2].startswith("the kernel draws random numbers, prints")
+    assert second[3].startswith("the kernel accumulates into @")
+    assert second[4:] == [
+        "a tree of the kernel's fields has sparse levels",
+        "the kernel uses arrays",
+        "the kernel returns values",
+    ]
+    scene.move()
+    assert sweep()[0] == "@field has been written since"
+    assert sweep(checkpoint=1)[0].startswith("skip=-unchanged-launches")
+    sweep()
+    view = x.__array_interface__
+    assert view and sweep()[0].startswith("an address in the memory of @field was given away")

@@ -21,45 +21,109 @@ static bool isShared(const Field &field, const std::vector<FieldPtr> &fields) {
   });
 }
 
-/// True if a launch of the kernel depends on nothing but its arguments and the
-/// fields that it reads, and writes other ones, all of whose writes count.
-bool KnownRuns::isEligible(const Kernel &kernel) const {
-  if (!kernel.isRepeatable() || kernel.resultSlots() != 0 ||
-      kernel.callerAdjoints().slots != 0 || !kernel.arrays().empty() ||
-      !kernel.tables().sparseNodes.empty())
-    return false;
-  const std::vector<Access> &summary = kernel.summary();
-  return std::all_of(summary.begin(), summary.end(), [&](const Access &access) {
-    const Field &field = *access.field;
-    if (access.kind != AccessKind::Read && access.kind != AccessKind::Write)
-      return false;
-    for (const Access &other : summary)
-      if (other.field == access.field && other.kind != access.kind)
-        return false;
-    return field.valid() && !field.isAdjoint() && !field.sparseNode() &&
-           !field.tree().mirror() && !isShared(field, services.fields());
-  });
+std::string RunReason::describe() const {
+  std::string name = field ? "@" + field->name() : "";
+  switch (kind) {
+  case None:
+    return "its fields hold its results, since none of them has been written";
+  case Unknown:
+    return "no launch with these arguments is known to incremental tapes";
+  case Written:
+    return name + " has been written since";
+  case Lent:
+    return "an address in the memory of " + name +
+           " was given away, so writes to it are not counted";
+  case Uncounted:
+    return "a replay, a program of the host or another unknown writer has run "
+           "since";
+  case Effects:
+    return "the kernel draws random numbers, prints, calls functions, updates "
+           "atomically or uses fields divided among processes";
+  case Returns:
+    return "the kernel returns values";
+  case Arrays:
+    return "the kernel uses arrays";
+  case Sparse:
+    return "a tree of the kernel's fields has sparse levels";
+  case ReadsOwn:
+    return "the kernel reads " + name + " and writes it";
+  case Accumulates:
+    return "the kernel accumulates into " + name;
+  case Gradient:
+    return name + " is a gradient";
+  case Place:
+    return name + " shares its place with another field";
+  case Device:
+    return name + " has a copy on a device";
+  case OtherRecords:
+    return "skip=-unchanged-launches, checkpoints, forward mode or several "
+           "recording tapes run all launches";
+  }
+  __builtin_unreachable();
 }
 
-bool KnownRuns::holds(const Kernel &kernel, const uint64_t *args) const {
+/// Returns None if a launch of the kernel depends on nothing but its arguments
+/// and the fields that it reads, and writes other ones, all of whose writes
+/// count.
+RunReason KnownRuns::alwaysRuns(const Kernel &kernel) const {
+  const std::vector<Access> &summary = kernel.summary();
+  for (const Access &access : summary) {
+    const Field &field = *access.field;
+    if (access.kind != AccessKind::Read && access.kind != AccessKind::Write)
+      return {RunReason::Accumulates, &field};
+    for (const Access &other : summary)
+      if (other.field == access.field && other.kind != access.kind)
+        return {RunReason::ReadsOwn, &field};
+    if (field.sparseNode())
+      return {RunReason::Sparse};
+    if (!field.valid())
+      return {RunReason::Unknown};
+    if (field.isAdjoint())
+      return {RunReason::Gradient, &field};
+    if (field.tree().mirror())
+      return {RunReason::Device, &field};
+    if (isShared(field, services.fields()))
+      return {RunReason::Place, &field};
+  }
+  if (!kernel.tables().sparseNodes.empty())
+    return {RunReason::Sparse};
+  if (!kernel.arrays().empty())
+    return {RunReason::Arrays};
+  if (kernel.resultSlots() != 0 || kernel.callerAdjoints().slots != 0)
+    return {RunReason::Returns};
+  if (!kernel.isRepeatable())
+    return {RunReason::Effects};
+  return {};
+}
+
+RunReason KnownRuns::mustRun(const Kernel &kernel, const uint64_t *args) const {
   auto found = known.find(&kernel);
   if (found == known.end() || found->second.kernel.lock().get() != &kernel)
-    return false;
+    return {RunReason::Unknown};
+  if (found->second.always)
+    return found->second.always;
   const std::vector<Access> &summary = kernel.summary();
   uint64_t epoch = services.epoch();
   uint64_t unknown = services.owner().launcher().unknownWrites();
+  RunReason reason{RunReason::Unknown};
   for (const Run &run : found->second.runs) {
-    if (run.epoch != epoch || run.unknown != unknown ||
+    if (run.epoch != epoch ||
         !std::equal(run.args.begin(), run.args.end(), args))
       continue;
-    bool isSame = true;
-    for (size_t i = 0; i < summary.size() && isSame; ++i)
-      isSame = summary[i].field->numWrites() == run.writes[i] &&
-               !summary[i].field->tree().wasLent();
-    if (isSame)
-      return true;
+    reason = {};
+    if (run.unknown != unknown)
+      reason = {RunReason::Uncounted};
+    for (size_t i = 0; i < summary.size() && !reason; ++i) {
+      const Field &field = *summary[i].field;
+      if (field.tree().wasLent())
+        reason = {RunReason::Lent, &field};
+      else if (field.numWrites() != run.writes[i])
+        reason = {RunReason::Written, &field};
+    }
+    if (!reason)
+      return reason;
   }
-  return false;
+  return reason;
 }
 
 void KnownRuns::note(Kernel &kernel, const uint64_t *args) {
@@ -69,9 +133,9 @@ void KnownRuns::note(Kernel &kernel, const uint64_t *args) {
     entry = Known();
     entry.kernel = kernel.weak_from_this();
     entry.epoch = epoch;
-    entry.isEligible = isEligible(kernel);
+    entry.always = alwaysRuns(kernel);
   }
-  if (!entry.isEligible)
+  if (entry.always)
     return;
   Run run;
   run.args.assign(args, args + kernel.tapeSlots());

@@ -20,13 +20,41 @@
 
 namespace mlir::tai::runtime {
 
+/// The reason for which a launch of an incremental tape had to run.
+struct RunReason {
+  enum Kind {
+    None,         ///< The fields hold its results: it did not run.
+    Unknown,      ///< No launch with these arguments is known.
+    Written,      ///< `field` has been written since.
+    Lent,         ///< An address in the tree of `field` was given away.
+    Uncounted,    ///< Something has written fields without being counted.
+    Effects,      ///< The kernel does more than compute.
+    Returns,      ///< The kernel returns values.
+    Arrays,       ///< The kernel uses arrays.
+    Sparse,       ///< A tree of the kernel has sparse levels.
+    ReadsOwn,     ///< The kernel reads `field` and writes it.
+    Accumulates,  ///< The kernel updates `field` atomically.
+    Gradient,     ///< `field` is a gradient.
+    Place,        ///< `field` shares its place with another field.
+    Device,       ///< `field` has a copy on a device.
+    OtherRecords, ///< The tape or the context runs all launches.
+  };
+  Kind kind = None;
+  /// Held by the summary of the kernel.
+  const Field *field = nullptr;
+
+  /// True if the launch had to run.
+  explicit operator bool() const { return kind != None; }
+  std::string describe() const;
+};
+
 class KnownRuns {
 public:
   explicit KnownRuns(TapeServices services) : services(services) {}
 
-  /// True if a launch with these arguments would store the numbers that its
-  /// fields hold.
-  bool holds(const Kernel &kernel, const uint64_t *args) const;
+  /// Returns None if a launch with these arguments would store the numbers that
+  /// its fields hold.
+  RunReason mustRun(const Kernel &kernel, const uint64_t *args) const;
   /// Notes that a launch has run.
   void note(Kernel &kernel, const uint64_t *args);
 
@@ -39,13 +67,14 @@ private:
   };
   struct Known {
     std::weak_ptr<Kernel> kernel;
-    bool isEligible = false;
+    /// The reason for which launches always run, if there is one.
+    RunReason always;
     uint64_t epoch = 0;
     /// The last launches; `next` is the oldest one.
     std::vector<Run> runs;
     size_t next = 0;
   };
-  bool isEligible(const Kernel &kernel) const;
+  RunReason alwaysRuns(const Kernel &kernel) const;
 
   TapeServices services;
   std::unordered_map<const Kernel *, Known> known;

@@ -159,15 +159,20 @@ Status Tape::runIfChanged(Launch &launch, Kernel &kernel, const uint64_t *args,
   bool maySkip = services.skips(Skip::UnchangedLaunches) &&
                  !parts->rematerialiser.isOn() && !services.isForward() &&
                  !services.recordsTogether();
-  if (maySkip && parts->runs->holds(kernel, args)) {
+  RunReason reason{RunReason::OtherRecords};
+  if (maySkip)
+    reason = parts->runs->mustRun(kernel, args);
+  parts->runReasons.emplace_back(parts->recording.next(), reason);
+  if (!reason) {
     launch.loops.clear();
-    parts->notRun.push_back(parts->recording.next());
     services.count(SkipCount::UnchangedSkipped);
     return Status::success();
   }
   services.count(SkipCount::UnchangedRun);
   Status status = services.run(launch, kernel, args, results, number);
-  if (status && maySkip)
+  if (!status)
+    parts->runReasons.pop_back();
+  else if (maySkip)
     parts->runs->note(kernel, args);
   return status;
 }

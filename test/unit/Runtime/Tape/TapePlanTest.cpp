@@ -541,8 +541,8 @@ TEST(TapeReport, SaysWhatBecomesOfRecords) {
   AdjointForms forms(scene.services, scene.recording, scene.plan, memory);
   TapeReport report;
   scene.decide({y.get()});
-  report.addRecord(scene.recording, scene.plan, forms, 0, 2048, 3, false);
-  report.addRecord(scene.recording, scene.plan, forms, 1, 0, 0, false);
+  report.addRecord(scene.recording, scene.plan, forms, 0, 2048, 3, nullptr);
+  report.addRecord(scene.recording, scene.plan, forms, 1, 0, 0, nullptr);
   EXPECT_EQ(report.get(),
             "0: @k0: replayed, from the adjoints of @y to those of @x; saved "
             "2.0 KiB; recomputed 3 times\n"
@@ -568,9 +568,9 @@ TEST(TapeReport, SaysWhyNothingIsDone) {
     AdjointForms forms(scene.services, scene.recording, scene.plan, memory);
     TapeReport report;
     scene.decide({x.get()});
-    report.addRecord(scene.recording, scene.plan, forms, 0, 0, 0, false);
+    report.addRecord(scene.recording, scene.plan, forms, 0, 0, 0, nullptr);
     scene.decide({y.get()});
-    report.addRecord(scene.recording, scene.plan, forms, 1, 0, 0, false);
+    report.addRecord(scene.recording, scene.plan, forms, 1, 0, 0, nullptr);
     EXPECT_EQ(report.get(),
               skips ? "0: @k0: skipped: no adjoint reaches @y\n"
                       "1: @k1: skipped: it reads no field that has an adjoint\n"
