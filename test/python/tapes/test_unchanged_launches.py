@@ -311,4 +311,6 @@ def test_explain_says_why_a_launch_ran():
     assert sweep(checkpoint=1)[0].startswith("skip=-unchanged-launches")
     sweep()
     view = np.from_dlpack(x)
-    assert view.shape == (N,) and sweep()[0].startswith("an address in the memory of @field was given away")
+    assert view.shape == (N,) and sweep()[0].startswith(
+        "an address in the memory of @field was given away"
+    )
