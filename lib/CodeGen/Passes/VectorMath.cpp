@@ -27,15 +27,16 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
     return;
   bool has512 = target.checkFeatures("+avx512f,+avx512dq,+avx512vl");
 
-  auto addWide = [&](StringRef name) {
-    Forms ofF32;
-    std::string stem = ("tai_wide_" + name + "_").str();
-    ofF32.scalar = stem + "1";
-    for (unsigned lanes : {4, 8, 16})
-      if (lanes < 16 || has512)
-        ofF32.vectors.push_back({lanes, stem + std::to_string(lanes)});
-    forms[("llvm." + name + ".f32").str()] = ofF32;
-    forms[(name + "f").str()] = ofF32;
+  auto addWide = [&](StringRef name, bool isDouble) {
+    Forms wide;
+    std::string stem = ("tai_wide_" + name + (isDouble ? "_f64_" : "_")).str();
+    wide.scalar = stem + "1";
+    unsigned most = isDouble ? 8 : 16;
+    for (unsigned lanes : {most / 4, most / 2, most})
+      if (lanes < most || has512)
+        wide.vectors.push_back({lanes, stem + std::to_string(lanes)});
+    forms[("llvm." + name + (isDouble ? ".f64" : ".f32")).str()] = wide;
+    forms[(name + (isDouble ? "" : "f")).str()] = wide;
   };
   auto addSleef = [&](StringRef name, StringRef type, unsigned least) {
     // The chosen forms of SLEEF's functions give the same bits for any number
@@ -56,7 +57,8 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
     forms[("llvm." + name + "." + type).str()] = sleef;
     forms[(name + (isDouble ? "" : "f")).str()] = sleef;
   };
-#define TAI_WIDE_FUNCTION(name, arguments) addWide(#name);
+#define TAI_WIDE_FUNCTION(name, arguments) addWide(#name, false);
+#define TAI_WIDE_F64_FUNCTION(name) addWide(#name, true);
 #include "tai/ABI/VectorMath.def"
   if (!hasSleef)
     return;

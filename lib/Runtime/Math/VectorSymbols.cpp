@@ -19,6 +19,11 @@ extern "C" {
   void tai_wide_##name##_4();                                                  \
   void tai_wide_##name##_8();                                                  \
   void tai_wide_##name##_16();
+#define TAI_WIDE_F64_FUNCTION(name)                                            \
+  void tai_wide_##name##_f64_1();                                              \
+  void tai_wide_##name##_f64_2();                                              \
+  void tai_wide_##name##_f64_4();                                              \
+  void tai_wide_##name##_f64_8();
 #include "tai/ABI/VectorMath.def"
 }
 #endif
@@ -35,6 +40,11 @@ mlir::tai::runtime::vectorMathSymbols() {
   add("tai_wide_" #name "_4", tai_wide_##name##_4);                            \
   add("tai_wide_" #name "_8", tai_wide_##name##_8);                            \
   add("tai_wide_" #name "_16", tai_wide_##name##_16);
+#define TAI_WIDE_F64_FUNCTION(name)                                            \
+  add("tai_wide_" #name "_f64_1", tai_wide_##name##_f64_1);                    \
+  add("tai_wide_" #name "_f64_2", tai_wide_##name##_f64_2);                    \
+  add("tai_wide_" #name "_f64_4", tai_wide_##name##_f64_4);                    \
+  add("tai_wide_" #name "_f64_8", tai_wide_##name##_f64_8);
 #include "tai/ABI/VectorMath.def"
 #endif
   return symbols;

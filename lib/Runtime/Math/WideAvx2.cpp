@@ -7,7 +7,7 @@
 
 #if defined(__x86_64__)
 
-#include "WideFunctions.h"
+#include "WideF64.h"
 
 // The scalar functions are for the remainder iterations of a vectorized loop.
 // Their results have the same bits as the results of the vector functions.
@@ -24,6 +24,12 @@
     return WideLanes<4>::name(x, y)[0];                                        \
   }
 #define TAI_WIDE_FUNCTION(name, arguments) TAI_DEFINE_##arguments(name)
+#define TAI_WIDE_F64_FUNCTION(name)                                            \
+  TAI_DEFINE_WIDE_F64(name, 2)                                                 \
+  TAI_DEFINE_WIDE_F64(name, 4)                                                 \
+  extern "C" double tai_wide_##name##_f64_1(double x) {                        \
+    return WideF64<2>::name(x)[0];                                             \
+  }
 #include "tai/ABI/VectorMath.def"
 
 #endif

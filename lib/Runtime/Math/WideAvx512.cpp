@@ -7,9 +7,10 @@
 
 #if defined(__x86_64__)
 
-#include "WideFunctions.h"
+#include "WideF64.h"
 
 #define TAI_WIDE_FUNCTION(name, arguments) TAI_DEFINE_WIDE_##arguments(name, 16)
+#define TAI_WIDE_F64_FUNCTION(name) TAI_DEFINE_WIDE_F64(name, 8)
 #include "tai/ABI/VectorMath.def"
 
 #endif

@@ -69,10 +69,17 @@ def forms_called(function, **options) -> set[str]:
 
 def test_default_deterministic_and_accurate_loops_call_those_of_sleef():
     need("libsleef.so.3")
-    assert forms_called(ti.sin) == {"Sleef_finz_sind4_u10avx2"}
     assert forms_called(ti.acos) == {"Sleef_finz_acosd4_u10avx2"}
-    assert forms_called(ti.sin, deterministic=True) == {"Sleef_finz_sind4_u10avx2"}
+    assert forms_called(ti.acos, deterministic=True) == {"Sleef_finz_acosd4_u10avx2"}
     assert forms_called(ti.math.expm1, math="accurate") == {"Sleef_finz_expm1d4_u10avx2"}
+
+
+@pytest.mark.parametrize("name", ["sin", "cos", "exp"])
+@pytest.mark.parametrize("options", [{}, {"deterministic": True}, {"math": "accurate"}], ids=str)
+def test_loops_over_f64_call_those_of_the_runtime(name, options):
+    if platform.machine() != "x86_64":
+        pytest.skip("there are none for this processor that are used")
+    assert forms_called(getattr(ti, name), **options) == {f"tai_wide_{name}_f64_4"}
 
 
 @pytest.mark.parametrize("name", ["asin", "acos", "tanh"])
@@ -119,7 +126,8 @@ def test_older_processors_call_libm():
         for i in x:
             x[i] = ti.sin(x[i])
 
-    assert "Sleef" not in apply.mlir(stage="llvmir")
+    code = apply.mlir(stage="llvmir")
+    assert "Sleef" not in code and "tai_wide" not in code
 
 
 def test_both_kinds_of_kernel_in_one_program():

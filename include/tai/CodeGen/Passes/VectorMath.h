@@ -7,7 +7,7 @@
 //
 // The vectoriser keeps loops with calls of elementary functions scalar, unless
 // it knows vector forms of these. Here it learns the forms of VectorMath.def:
-// those of the runtime, for f32, and those of SLEEF. Calls that may not be
+// those of the runtime and those of SLEEF. Calls that may not be
 // contracted (those of strict kernels) stay calls of libm.
 //
 //===----------------------------------------------------------------------===//

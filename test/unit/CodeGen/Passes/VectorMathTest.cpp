@@ -224,6 +224,65 @@ TEST(VectorMath, DeterministicBitsOfF32DoNotDependOnThePlace) {
   expectSameBits<float>("true");
 }
 
+/// Checks loops of f64 against `exact`, within `most` units in the last place.
+void expectWithin(const char *name, long double (*exact)(long double),
+                  const std::vector<double> &x, double most) {
+  if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma"))
+    GTEST_SKIP() << "the processor has no vector forms";
+  for (const char *cpu : {"", "x86-64-v3"}) {
+    std::vector<double> y =
+        *cpu ? map<double>(name, x, "target_cpu", cpu) : map<double>(name, x);
+    for (size_t i = 0; i < x.size(); ++i)
+      ASSERT_LE(distance<double>(y[i], exact(x[i])), most)
+          << name << " of " << x[i] << " on " << cpu;
+  }
+}
+
+/// Angles where sines of f64 lose most, and where one reduction follows
+/// another.
+std::vector<double> makeAngles() {
+  std::mt19937_64 random(11);
+  std::vector<double> x;
+  for (int i = 0; i < 20000; ++i) {
+    // Quarter turns are the zeros of sine and cosine, eighths the ends of the
+    // polynomials.
+    double eighths = std::ldexp(static_cast<double>(random() >> 11),
+                                -53 + static_cast<int>(random() % 41));
+    double angle = static_cast<double>(std::floor(eighths) * M_PI_4l);
+    x.push_back(random() % 2 ? angle : -angle);
+    x.push_back(std::nextafter(angle, random() % 2 ? 1e300 : -1e300));
+  }
+  for (double border : {0x1p20, 0x1p40})
+    for (int i = -500; i < 500; ++i)
+      x.push_back((i % 2 ? border : -border) * (1 + i * 0x1p-52));
+  return x;
+}
+
+TEST(VectorMath, SinesOfF64HoldNextToQuarterTurnsAndBorders) {
+  expectWithin("sin", sinl, makeAngles(), 0.62);
+}
+TEST(VectorMath, CosinesOfF64HoldNextToQuarterTurnsAndBorders) {
+  expectWithin("cos", cosl, makeAngles(), 0.62);
+}
+
+TEST(VectorMath, ExponentialsOfF64HoldUpToTheEndsOfTheRange) {
+  std::mt19937_64 random(12);
+  auto uniform = [&](double least, double most) {
+    return std::uniform_real_distribution<double>(least, most)(random);
+  };
+  std::vector<double> normal, tiny;
+  for (int i = 0; i < 20000; ++i) {
+    normal.push_back(uniform(-708.3, 709.8));
+    normal.push_back(uniform(707.9, 709.8));
+    tiny.push_back(uniform(-746, -707.9));
+  }
+  // The last finite result and the first infinite one.
+  normal.insert(normal.end(), {709.782712893384, 709.7827128933841});
+  tiny.insert(tiny.end(), {-745.1332191019411, -745.1332191019412, -1e300});
+  expectWithin("exp", expl, normal, 0.7);
+  expectWithin("exp", expl, tiny, 0.8);
+}
+
 TEST(VectorMath, StrictKernelsCallLibm) {
   std::vector<double> x = makeArguments<double>(-30, 30);
   std::vector<double> y = map<double>("sin", x, "math", "strict");
