@@ -10,6 +10,7 @@ import tai as ti
 from tai._impl.drawing.frames import FrameLoop
 from tai._impl.fields import notebook
 from tai._impl.fields.root import name_fields
+from tai._impl.history import origins
 
 
 @pytest.fixture(autouse=True)
@@ -43,6 +44,58 @@ def test_pictures_of_fields():
     assert "<img" not in ti.Vector.field(2, ti.f32, (4, 2))._repr_html_()
     s = ti.types.struct(a=ti.f32, b=ti.i32).field(shape=3)
     assert s._repr_html_().count("min 0") == 2
+
+
+def test_statistics_of_arrays():
+    a = ti.ndarray(ti.f32, 4, needs_grad=True)
+    a.from_numpy(np.array([1, np.nan, 3, 5], np.float32))
+    text = a._repr_html_()
+    assert text.startswith("<code>&lt;ti.ndarray of f32, shape (4,)&gt;</code>")
+    assert "min 1, max 5, mean 3; 1 of 4 not finite" in text and "<img" not in text
+    assert "min 0, max 0" in a.grad._repr_html_()
+    assert "no elements" in ti.ndarray(ti.i32, (0, 3))._repr_html_()
+    whole = ti.ndarray(ti.i32, ())
+    whole[None] = 7
+    assert "min 7, max 7, mean 7" in whole._repr_html_()
+    vectors = ti.Vector.ndarray(3, ti.f64, 2)
+    assert repr(vectors) == "<ti.ndarray of f64, shape (2,), elements of shape (3,)>"
+    assert "too large" not in vectors._repr_html_()
+
+
+def test_a_large_array_is_not_summarised(monkeypatch):
+    monkeypatch.setattr(notebook, "_MOST", 6)
+    assert "too large to summarise" in ti.Vector.ndarray(3, ti.f32, 3)._repr_html_()
+    assert "max 0" in ti.Vector.ndarray(3, ti.f32, 2)._repr_html_()
+
+
+def test_pictures_of_arrays():
+    Image = pytest.importorskip("PIL.Image")
+    x = ti.ndarray(ti.f32, (4, 2))
+    x[3, 1] = 1  # right, at the top
+    for array in (x, ti.Vector.ndarray(4, ti.f32, (4, 2))):
+        (data,) = re.findall(r"base64,([^\"]*)", array._repr_html_())
+        with Image.open(io.BytesIO(base64.b64decode(data))) as picture:
+            pixels = np.asarray(picture)
+        assert pixels.shape[1] == 2 * pixels.shape[0]
+        if array is x:
+            assert pixels[0, -1] == 255 and pixels[-1, -1] == pixels[0, 0] == 0
+    assert "<img" not in ti.Vector.ndarray(2, ti.f32, (4, 2))._repr_html_()
+
+
+def test_a_picture_is_no_reading_of_the_tape():
+    x = ti.ndarray(ti.f32, (), needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def square(a: ti.types.ndarray()):
+        a[None] = 3.0
+        loss[None] += a[None] ** 2
+
+    with ti.ad.Tape(loss):
+        square(x)
+        assert "max 3" in x._repr_html_() and not origins._of_thread.watches
+        x.to_numpy()
+        assert origins._of_thread.watches
 
 
 def test_layouts():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -204,7 +205,12 @@ class Ndarray(Elements):
         return str(self.array)
 
     def __repr__(self) -> str:
-        return f"<ti.ndarray of {self.dtype}, shape {self.shape}>"
+        elements = f", elements of shape {self.element_shape}" if self.element_shape else ""
+        return f"<ti.ndarray of {self.dtype}, shape {self.shape}{elements}>"
+
+    def _repr_html_(self) -> str:
+        """Shows the array in a notebook: its statistics, and a picture."""
+        return importlib.import_module("tai._impl.fields.notebook").array_html(self)
 
 
 def _array_of(

@@ -1,4 +1,4 @@
-"""Fields, kernels and tapes as notebooks show them."""
+"""Fields, arrays, kernels and tapes as notebooks show them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import base64
 import html
 import inspect
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,13 +21,25 @@ def field_html(field: Any) -> str:
     """HTML of a field for notebooks: a line about the field, a line about its numbers, and a
     picture if it has two dimensions.
     """
-    head = html.escape(repr(field))
     if field.level is None:
-        return f"<code>{head}</code>"
-    if int(np.prod(field.shape + field.element_shape, dtype=np.int64)) > _MOST:
+        return f"<code>{html.escape(repr(field))}</code>"
+    return _summary(field, field.to_numpy)
+
+
+def array_html(array: Any) -> str:
+    """HTML of a `ti.ndarray` for notebooks, as that of a field.
+
+    A tape that records does not note the array as read: a picture is no part of the program.
+    """
+    return _summary(array, lambda: array.array)
+
+
+def _summary(value: Any, contents: Callable[[], np.ndarray]) -> str:
+    head = html.escape(repr(value))
+    if int(np.prod(value.shape + value.element_shape, dtype=np.int64)) > _MOST:
         return f"<code>{head}</code><br>too large to summarise; see to_numpy()"
-    array = field.to_numpy()
-    return f"<code>{head}</code><br>{statistics(array)}{_picture(array, field)}"
+    array = contents()
+    return f"<code>{head}</code><br>{statistics(array)}{_picture(array, value)}"
 
 
 def statistics(array: np.ndarray) -> str:
@@ -46,7 +58,7 @@ def statistics(array: np.ndarray) -> str:
 
 def _picture(array: np.ndarray, field: Any) -> str:
     is_colour = field.element_shape in ((3,), (4,))
-    if len(field.shape) != 2 or (field.element_shape and not is_colour):
+    if len(field.shape) != 2 or not array.size or (field.element_shape and not is_colour):
         return ""
     try:
         from PIL import Image
