@@ -455,3 +455,19 @@ def test_fields_are_called_as_the_variable_of_the_program():
     with pytest.raises(ti.TaiAssertionError, match="'pressure'"):
         read_pressure(7)
     assert pressure.name == "pressure"
+
+
+def test_a_component_is_no_field_by_itself():
+    whole = ti.Vector.field(2, ti.f32, shape=(), needs_grad=True, name="whole")
+    whole.fill(3)
+    component = whole.get_scalar_field(1)
+    assert component[None] == 3
+    with pytest.raises(ti.TaiRuntimeError, match=r"'whole\[1\]' is no field by itself") as caught:
+        component.materialize()
+    assert "layout=ti.Layout.SOA" in caught.value.hint
+    own = ti.Vector.field(2, ti.f32, shape=(), needs_grad=True, layout=ti.Layout.SOA)
+    with ti.ad.Tape(own.get_scalar_field(1)):
+        pass
+    ti.init()
+    with pytest.raises(ti.TaiRuntimeError, match="was made before the last ti.init"):
+        component.materialize()

@@ -320,6 +320,112 @@ def test_refusals():
         ti.optim.LBFGS(x).minimize(compute)
 
 
+@pytest.mark.parametrize("form", ["tape", "function", "array", "component"])
+@pytest.mark.parametrize("user", ["LBFGS", "scipy_minimize", "Adam", "SGD"])
+def test_a_loss_among_the_parameters(user, form):
+    ti.init()
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    x.fill(2)
+    whole = ti.Vector.field(2, ti.f64, shape=(), needs_grad=True, layout=ti.Layout.SOA)
+    loss = {
+        "array": ti.ndarray(ti.f64, (), needs_grad=True),
+        "component": whole.get_scalar_field(1),
+    }.get(form, ti.field(ti.f64, shape=(), needs_grad=True, name="loss"))
+
+    @ti.kernel
+    def compute():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    @ti.kernel
+    def compute_array(out: ti.types.ndarray()):
+        for i in x:
+            out[None] += x[i] ** 2
+
+    def record():
+        with ti.ad.Tape(loss) as tape:
+            compute_array(loss) if form == "array" else compute()
+        return tape
+
+    def run():
+        record()
+        return loss
+
+    given = [x, whole if form == "component" else loss]
+    with pytest.raises(ti.TaiAutodiffError, match="is a parameter and also the loss") as caught:
+        if user in ("Adam", "SGD"):
+            optimizer = getattr(ti.optim, user)(given, lr=0.1)
+            run()
+            optimizer.step()
+        elif user == "LBFGS":
+            ti.optim.LBFGS(given).minimize(run if form == "function" else record())
+        else:
+            ti.optim.scipy_minimize(run if form == "function" else record(), given)
+    assert f"ti.optim.{user}" in str(caught.value)
+    assert (x.to_numpy() == 2).all()
+    # Without the loss all of them work.
+    if user in ("Adam", "SGD"):
+        optimizer = getattr(ti.optim, user)([x], lr=0.1)
+        optimizer.step()
+        assert (x.to_numpy() < 2).all()
+    elif user == "LBFGS":
+        assert ti.optim.LBFGS([x]).minimize(record()).loss < 1e-8
+    else:
+        assert ti.optim.scipy_minimize(record(), [x]).fun < 1e-8
+
+
+@pytest.mark.parametrize("user", ["LBFGS", "scipy_minimize"])
+def test_a_function_whose_gradient_is_zero(user):
+    """A tape that ran is noted even if it has left zeros in all gradients."""
+    ti.init()
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def compute():
+        for i in x:
+            loss[None] += x[i] ** 2 + 1
+
+    def run():
+        with ti.ad.Tape(loss):
+            compute()
+        return loss
+
+    if user == "LBFGS":
+        assert ti.optim.LBFGS([x]).minimize(run).loss == 3
+    else:
+        assert ti.optim.scipy_minimize(run, [x]).fun == 3
+
+
+def test_a_state_that_is_seeded_may_be_a_parameter():
+    """Only losses of one number are set to zero: a state may be the input and the output."""
+    ti.init()
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    x.fill(1)
+
+    @ti.kernel
+    def double():
+        for i in x:
+            x[i] *= 2
+
+    with ti.ad.Tape(x, seed=np.ones(3)):
+        double()
+    ti.optim.SGD([x], lr=0.5).step()
+    assert (x.to_numpy() == 1).all()
+
+
+def test_a_residual_among_the_parameters():
+    ti.init()
+    x = ti.Vector.field(
+        2, ti.f64, shape=3, needs_grad=True, needs_dual=True, layout=ti.Layout.SOA
+    )
+    for residuals in (x, [x], x.get_scalar_field(1)):
+        with pytest.raises(ti.TaiAutodiffError, match="is a parameter and also a residual"):
+            ti.optim.GaussNewton([x], residuals)
+    one, other = x.get_scalar_field(0), x.get_scalar_field(1)
+    ti.optim.GaussNewton([one], other)  # They share no element.
+
+
 @pytest.mark.parametrize("user", ["LBFGS", "scipy_minimize"])
 def test_functions_without_a_gradient(user):
     """Zeros, or the gradient of an earlier tape, must not be taken for that of the function."""

@@ -6,6 +6,7 @@ import functools
 import html
 import sys
 import warnings
+import weakref
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -126,6 +127,8 @@ class Tape(native.WithBlock):
     # The number of reverse sweeps of all tapes, by which an optimiser sees whether a function has
     # run a tape.
     sweeps = 0
+    # Weak references to the losses of one number of the last sweep.
+    _swept_losses: tuple[weakref.ref[Any], ...] = ()
 
     def __init__(
         self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
@@ -144,6 +147,9 @@ class Tape(native.WithBlock):
             )
         self._losses = as_losses(loss)
         self._sums = [f for f in self._losses if is_number(f) and f.shape + f.element_shape]
+        cleared = [f for f in self._losses if is_number(f)]
+        cleared += [] if self._outer_loss is None else [self._outer_loss]
+        self._cleared = tuple(map(weakref.ref, cleared))
         self._seed = seed
         self._wanted = as_wanted(wrt)
         self._is_incremental = incremental
@@ -264,6 +270,7 @@ class Tape(native.WithBlock):
             if kind is None and self._checks:
                 raise_violations(self._core)
             if is_swept:
+                self._note_sweep()
                 with tracked.ValueSweep(self._values, self._outer_seeds()):
                     self._core.backward()
         finally:
@@ -283,6 +290,18 @@ class Tape(native.WithBlock):
                 warn_of_losses(self._core, [f for f in self._losses if is_number(f)])
             if self._check:
                 self._check.end(self._core, self.loss)
+
+    @staticmethod
+    def _get_swept_losses() -> list[Any]:
+        """The losses of one number of the last sweep of any tape.
+
+        A tape sets them to zero when its block is entered, so an optimiser refuses them as
+        parameters.
+        """
+        return [loss for ref in Tape._swept_losses if (loss := ref()) is not None]
+
+    def _note_sweep(self) -> None:
+        Tape.sweeps, Tape._swept_losses = Tape.sweeps + 1, self._cleared
 
     def _note_seeds(self) -> None:
         self._was_seeded = True
@@ -384,7 +403,7 @@ class Tape(native.WithBlock):
     def _sweep(self, clear: bool, losses: tuple | None = None) -> None:
         if clear:
             self._clear()
-        Tape.sweeps += 1
+        self._note_sweep()
         losses = self._outer_seeds() if losses is None else losses
         with tracked.ValueSweep(self._values, losses):
             self._core.backward()
@@ -436,7 +455,7 @@ class Tape(native.WithBlock):
             forward = False
         if not backward:
             return
-        Tape.sweeps += 1
+        self._note_sweep()
         with tracked.ValueSweep(self._values, losses, forward):
             self._core.replay(forward, True)
         if forward:

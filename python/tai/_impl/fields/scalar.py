@@ -338,6 +338,16 @@ class ComponentField(ScalarField):
     def storage(self) -> tuple[ScalarField, int]:
         return (self._whole._single, self._index) if self.is_window else (self, 0)
 
+    def materialize(self, frame: Any = None) -> None:
+        if self._whole._single is None:
+            return super().materialize(frame)
+        self._whole.materialize(frame)
+        raise TaiRuntimeError(
+            f"'{self.name}' is no field by itself: elements of '{self._whole.name}' are stored as "
+            "a whole",
+            f"give the whole field, or make '{self._whole.name}' with layout=ti.Layout.SOA",
+        )
+
     def __getitem__(self, key: Any) -> Any:
         if self.is_window:
             return self._whole._single.get_component(key, self._index)

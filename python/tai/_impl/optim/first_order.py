@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ..ad.tape import Tape
 from ..base import dtypes
 from ..fields.active import active_elements, write_elements
 from ..fields.make import make_field
 from .kernels import COUNTS, IS_BAD, KEPT, SKIPPED, STEPS, get_kernels
-from .parameters import check_number, check_outside, check_parameters
+from .parameters import check_number, check_outside, check_parameters, refuse_losses
 
 _LARGEST = {"f64": sys.float_info.max, "f32": 3.4028234663852886e38, "bf16": 3.3895313892515355e38,
             "f16": 65504.0}  # fmt: skip
@@ -86,11 +87,13 @@ class Optimizer:
         """Changes the parameters by their gradients, as the last reverse sweep left them.
 
         Raises:
-            TaiAutodiffError: a gradient is NaN or infinite (with `nonfinite="raise"`), or a tape
-                records. Then neither the parameters nor the state have changed.
+            TaiAutodiffError: a gradient is NaN or infinite (with `nonfinite="raise"`), a tape
+                records, or the loss of the last sweep is a parameter. Then neither the parameters
+                nor the state have changed.
             TaiRuntimeError: an element would leave the range of its type; it keeps its value.
         """
         check_outside(f"{self._user}.step()")
+        refuse_losses(self._parameters, Tape._get_swept_losses(), f"{self._user}.step()")
         k = get_kernels()
         for p in self._parameters:
             largest = _LARGEST[p.dtype.name]

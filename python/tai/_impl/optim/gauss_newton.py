@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ...errors import TaiRuntimeTypeError
+from ...errors import TaiAutodiffError, TaiRuntimeTypeError
 from ..ad.mode import ForwardMode, check_dual, clear_duals, one_thread
 from ..ad.tape import Tape, clear_all_gradients
 from ..fields.field import Field
@@ -13,7 +13,7 @@ from ..solvers.vectors import get_kernels as get_vectors
 from .first_order import check_kind
 from .kernels import get_kernels
 from .objective import Result, refuse_start
-from .parameters import Flat, check_number, check_outside, check_parameters
+from .parameters import Flat, check_number, check_outside, check_parameters, shares_memory
 
 
 class GaussNewton:
@@ -52,6 +52,13 @@ class GaussNewton:
                 )
             check_dual(p.value, user + ":")
             p.require_dense(user)
+        for p in self._parameters:
+            if any(shares_memory(p.value, r.value) for r in self._residuals):
+                raise TaiAutodiffError(
+                    f"{user}: {p.name} is a parameter and also a residual, and residuals are set "
+                    "to zero before the function runs",
+                    "copy the parameter to a field of residuals in a kernel: r[i] = x[i]",
+                )
         self.damping = check_number(user, "damping", damping, 0.0)
         self._flat, self._image = Flat(self._parameters), Flat(self._residuals)
         names = ("point", "gradient", "step", "direction", "pulled", "next_point")

@@ -82,8 +82,8 @@ class LBFGS:
             ftol: stops where an iteration lowers the loss by less, relative to the loss.
 
         Raises:
-            TaiAutodiffError: the loss or its gradient is not finite at the start, or a tape
-                records.
+            TaiAutodiffError: the loss or its gradient is not finite at the start, a tape records,
+                or the loss is a parameter.
         """
         check_outside(f"{self._user}.minimize()")
         objective = Objective(function, self._user, self._parameters)

@@ -9,7 +9,7 @@ from ...errors import TaiAutodiffError, TaiRuntimeTypeError
 from ..ad.tape import Tape
 from ..launch.bound_kernel import BoundKernel
 from ..launch.kernels import Kernel
-from .parameters import Parameter
+from .parameters import Parameter, refuse_losses
 
 
 class Result(NamedTuple):
@@ -57,6 +57,7 @@ class Objective:
                 raise TaiRuntimeTypeError(
                     f"{user} takes a tape with one loss", "with ti.ad.Tape(loss) as tape: …"
                 )
+            refuse_losses(parameters, [self._loss], user)
         elif isinstance(function, Kernel | BoundKernel):
             raise TaiRuntimeTypeError(
                 f"{user} takes a tape or a function that runs one, but got kernel "
@@ -92,6 +93,8 @@ class Objective:
             parameter.value.grad.fill(0)
         sweeps = Tape.sweeps
         loss = self._number(self._call())
+        if Tape.sweeps != sweeps:
+            refuse_losses(self._parameters, Tape._get_swept_losses(), self._user)
         if Tape.sweeps == sweeps and not any(
             parameter.value.grad.to_numpy().any() for parameter in self._parameters
         ):

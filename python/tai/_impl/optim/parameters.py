@@ -154,6 +154,39 @@ def check_parameters(given: Any, user: str) -> list[Parameter]:
     return [Parameter(value, user) for value in values]
 
 
+def _places_of(field: Field) -> set[tuple[int, int]]:
+    """The storage of a field: pairs of a field that is stored by itself, and a component of it."""
+    found = [part.storage() for part in getattr(field, "components", None) or [field]]
+    return {(id(stored), component) for stored, component in found}
+
+
+def shares_memory(a: Any, b: Any) -> bool:
+    """Returns whether two fields or arrays of `ti.ndarray` have elements in common."""
+    if isinstance(a, Ndarray) or isinstance(b, Ndarray):
+        return a is b
+    return not _places_of(a).isdisjoint(_places_of(b))
+
+
+def refuse_losses(parameters: Sequence[Parameter], losses: Sequence[Any], user: str) -> None:
+    """Raises an error if a loss is one of the parameters.
+
+    Args:
+        parameters: of the optimiser.
+        losses: fields and arrays of one number, which a tape sets to zero before it runs.
+        user: the name of the calling function, for messages.
+
+    Raises:
+        TaiAutodiffError: a loss shares memory with a parameter.
+    """
+    for p in parameters:
+        if any(shares_memory(p.value, loss) for loss in losses):
+            raise TaiAutodiffError(
+                f"{user}: {p.name} is a parameter and also the loss, which a tape sets to zero "
+                "before it runs",
+                "the parameters are the fields that the loss is computed from",
+            )
+
+
 def check_outside(user: str) -> None:
     """Raises an error if launches are being differentiated, where optimisers must not work.
 

@@ -41,7 +41,8 @@ def scipy_minimize(function: Any, parameters: Any, method: str = "L-BFGS-B", **o
         SciPy's `OptimizeResult`. The parameters hold `result.x`.
 
     Raises:
-        TaiAutodiffError: the loss or its gradient is not finite at the start.
+        TaiAutodiffError: the loss or its gradient is not finite at the start, or the loss is a
+            parameter.
     """
     user = "ti.optim.scipy_minimize"
     try:
