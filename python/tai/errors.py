@@ -57,6 +57,7 @@ _HINTS_OF_CALLS = [
     (r"^@ti\.(kernel|func) takes a function", "write @ti.{0} above a def"),
     (r"^ti\.(max|min) takes at least two", "ti.{0}(a, b), or v.{0}() over the components of a "
      "vector"),
+    (r"^(ti\.\S+) stands in kernels and", "call {0} in a function with @ti.kernel or @ti.func"),
     (r"^ti\.\w+ takes numbers", "pass a number, a vector or a matrix; a field is looped over in a "
      "kernel"),
     (r"^the annotation '.*' has no meaning", "import or define the name above the kernel"),

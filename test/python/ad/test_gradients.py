@@ -660,3 +660,49 @@ def test_a_check_finds_a_wrong_one():
     result = ti.ad.check(run, loss=loss, wrt=[x])
     assert not result and "'x'" in str(result)
     assert loss[None] == 0
+
+
+def test_gradients_that_are_called_by_mistake():
+    x = ti.field(ti.f32, shape=3, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def scale(a: ti.f32, b: ti.f32):
+        for i in x:
+            loss[None] += a * b * x[i]
+
+    for call in (lambda: scale.grad(), lambda: scale.grad(1, 2, 3), lambda: scale.grad(c=1)):
+        with pytest.raises(ti.TaiRuntimeTypeError) as caught:
+            call()
+        assert caught.value.hint == "its parameters: a, b; scale.grad takes the same arguments"
+    with pytest.raises(ti.TaiRuntimeTypeError) as caught:
+        scale()
+    assert caught.value.hint == "its parameters: a, b"
+
+
+def test_a_gradient_that_starts_from_nothing():
+    x = ti.field(ti.f32, shape=(), needs_grad=True)
+    y = ti.field(ti.f32, shape=(), needs_grad=True)
+    plain = ti.field(ti.f32, shape=())
+    x[None] = 3
+
+    @ti.kernel
+    def square() -> ti.f32:
+        plain[None] = x[None]
+        return x[None] ** 2
+
+    @ti.kernel
+    def both() -> ti.f32:
+        y[None] = 2 * x[None]
+        return x[None] ** 2
+
+    with pytest.raises(ti.TaiAutodiffError, match="it returns a number") as caught:
+        square.grad()
+    assert "tape.backward(y)" in caught.value.hint
+    with ti.ad.Tape() as tape:
+        result = square()
+    tape.backward(result)  # as the hint says
+    assert x.grad[None] == 6
+    x.grad[None], y.grad[None] = 0, 1
+    both.grad()
+    assert x.grad[None] == 2

@@ -133,3 +133,16 @@ def test_a_variable_that_hides_a_field():
     with pytest.warns(TaiCompilationWarning, match=r"'hidden' hides the field[\s\S]*hidden\[i\]"):
         f()
     assert not hidden.to_numpy().any()
+
+
+@pytest.mark.parametrize("name", ["random", "atomic_add", "rescale_index", "svd", "get_addr"])
+def test_an_operation_of_kernels_in_python(name):
+    with pytest.raises(ti.TaiSyntaxError, match=f"ti.{name} stands in kernels") as caught:
+        getattr(ti, name)(*([1.0, 2.0] if name != "random" else []))
+    assert caught.value.hint == f"call ti.{name} in a function with @ti.kernel or @ti.func"
+
+
+def test_loop_config_in_python():
+    with pytest.raises(ti.TaiSyntaxError, match="before a loop") as caught:
+        ti.loop_config(serialize=True)
+    assert "on the line above the for" in caught.value.hint

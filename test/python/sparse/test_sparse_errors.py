@@ -364,11 +364,51 @@ def test_a_number_is_no_level():
 # Python
 
 
-@pytest.mark.parametrize("name", ["activate", "deactivate", "is_active", "append", "length"])
+HINTS_IN_PYTHON = {
+    "activate": "deactivate_all()", "deactivate": "deactivate_all()",
+    "is_active": "level.active_cells()", "append": "at least 10 long",
+    "length": "level.num_active",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HINTS_IN_PYTHON)
 def test_topology_is_for_kernels(name):
     x, outer = blocks()
-    with raises(ti.TaiSyntaxError, f"ti.{name} stands in kernels", "deactivate_all()"):
+    hint = HINTS_IN_PYTHON[name]
+    with raises(ti.TaiSyntaxError, f"ti.{name} stands in kernels", f"ti.{name}(level, i", hint):
         getattr(ti, name)(outer, [0])
+    vectors = ti.Vector.field(2, ti.f32, shape=3)
+    for value in (x, outer, vectors, ti.root, ti.types.struct(a=ti.f32).field(shape=2)):
+        with raises(AttributeError, f"'{name}'\n  hint: ", f"ti.{name}(level, i", hint):
+            getattr(value, name)(1)
+        assert not hasattr(value, name) and name not in dir(value)
+    assert {"fill", "to_numpy"} <= set(dir(x)) and "num_active" in dir(outer)
+
+
+def test_a_member_may_be_named_as_an_operation_of_cells():
+    s = ti.types.struct(length=ti.f32, append=ti.i32).field(shape=2)
+    s.length.fill(3)
+    assert s[1].length == 3 and s.append[0] == 0
+
+
+def test_a_list_in_python():
+    x = ti.field(ti.i32, name="x")
+    lists = ti.root.dense(ti.i, 4).dynamic(ti.j, 16)
+    lists.place(x)
+    for call in (lambda: x[0].append(1), lambda: x[0].length()):
+        with raises(ti.TaiIndexError, "x[i] is a list", "x[i].append(value)"):
+            call()
+    with raises(ti.TaiIndexError, "expects 2 indices, but got 3", "one index for each dimension"):
+        _ = x[0, 1, 2]
+    x[0, 9] = 1
+    assert lists.num_active == 10  # as the hint of append says
+
+    @ti.kernel
+    def push():
+        x.append(1)
+
+    with raises(ti.TaiTypeError, "'x' has no attribute 'append'", "by x[i].append(value)"):
+        push()
 
 
 def test_dense_levels_have_no_activity():

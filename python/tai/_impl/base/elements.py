@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ...errors import TaiRuntimeTypeError
-from .keywords import MissingMethod
+from .keywords import MissingMethod, present_names
 
 # Python operators that are refused for whole fields and arrays.
 _OPERATORS = {
@@ -38,6 +38,7 @@ class Elements:
     """
 
     backward = MissingMethod()
+    __dir__ = present_names
 
     def suggest_name(self, name: str) -> None:
         """Takes the name of the variable that holds this field or array, if it has no name yet."""

@@ -63,18 +63,53 @@ def missing_attribute(text: str, name: str, known: Iterable[str]) -> AttributeEr
 
 
 class MissingMethod:
-    """A method of other libraries' objects that a class has not, as a class attribute.
+    """A method that a class has not, as a class attribute.
 
     The error says what to write instead. In contrast to `__getattr__`, it costs nothing where
     other attributes are looked up.
+
+    Args:
+        hint: what to write; left out for methods of other libraries' objects, whose hints are
+            known.
     """
+
+    def __init__(self, hint: str | None = None):
+        self._hint = hint
 
     def __set_name__(self, cls: type, name: str) -> None:
         self._name = name
 
     def __get__(self, value: Any, cls: type) -> Any:
         text = f"'{cls.__name__}' object has no attribute '{self._name}'"
-        raise missing_attribute(text, self._name, ())
+        if self._hint is None:
+            raise missing_attribute(text, self._name, ())
+        raise AttributeError(f"{text}\n  hint: {self._hint}", name=self._name)
+
+
+def present_names(value: Any) -> list[str]:
+    """Implements `__dir__` of classes with a `MissingMethod`, which is no attribute of them."""
+    cls = type(value)
+    return [
+        name for name in object.__dir__(value)
+        if not isinstance(inspect.getattr_static(cls, name, None), MissingMethod)
+    ]  # fmt: skip
+
+
+_ACTIVE = (
+    "in Python, writing to an element makes its cell active, and level.deactivate_all() empties a "
+    "level"
+)
+# Operations on sparse cells, which kernels have, with the hints for a call from Python.
+CELL_OPERATIONS = {
+    "append": "lists grow in kernels, by x[i].append(value) or ti.append(level, i, value); in "
+    "Python, writing to x[i, 9] makes a list at least 10 long",
+    "length": "kernels have x[i].length() and ti.length(level, i); in Python, level.num_active "
+    "counts the elements of all lists",
+    "activate": f"kernels have ti.activate(level, i); {_ACTIVE}",
+    "deactivate": f"kernels have ti.deactivate(level, i); {_ACTIVE}",
+    "is_active": "kernels have ti.is_active(level, i); in Python, level.active_cells() lists the "
+    "active cells",
+}
 
 
 def suggest_names(namespace: dict[str, Any]) -> None:

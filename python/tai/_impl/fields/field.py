@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes, fitting, state
 from ..base.elements import Elements
+from ..base.keywords import CELL_OPERATIONS, MissingMethod
 from . import copies
 from .shareable import Shareable
 from .snode import Place, SNode
@@ -71,6 +72,10 @@ class Field(Elements, Shareable):
     offset: Any
     # The `ti.batch` to which the field belongs, or None.
     batch: Any = None
+    append, length, activate, deactivate, is_active = (
+        MissingMethod(CELL_OPERATIONS[name])
+        for name in ("append", "length", "activate", "deactivate", "is_active")
+    )
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """A copied or unpickled field has the same type, levels and values, but its own memory."""

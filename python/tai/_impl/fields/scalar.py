@@ -234,7 +234,14 @@ class ScalarField(Field):
         return bool(value) if self.dtype.is_bool else value
 
     def _index_error(self, error: Exception, key: Any = None) -> TaiError:
-        return fitting.index_error(self.name, key, error)
+        found = fitting.index_error(self.name, key, error)
+        is_list = self.level is not None and self.level.kind == "dynamic"
+        if is_list and len(index_tuple(key)) == len(self.shape) - 1:
+            found.hint = (
+                f"{self.name}[i] is a list: kernels have {self.name}[i].append(value) and "
+                f"{self.name}[i].length(); Python reads and writes single elements"
+            )
+        return found
 
     # Whole field
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import TaiError, TaiMemoryError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import fitting, state
-from ..base.keywords import check_keywords
+from ..base.keywords import CELL_OPERATIONS, MissingMethod, check_keywords, present_names
 from ..base.program import Program, get_program
 from ..values.types import refuse_quant
 from . import offsets, shards
@@ -50,6 +50,12 @@ class SNode:
         axes: the axes that it divides.
         extents: the number of cells along each of `axes`.
     """
+
+    append, length, activate, deactivate, is_active = (
+        MissingMethod(CELL_OPERATIONS[name])
+        for name in ("append", "length", "activate", "deactivate", "is_active")
+    )
+    __dir__ = present_names
 
     def __init__(
         self,

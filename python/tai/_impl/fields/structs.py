@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes, fitting, state
-from ..base.keywords import check_keywords, missing_attribute
+from ..base.keywords import CELL_OPERATIONS, check_keywords, missing_attribute
 from ..base.program import get_program
 from ..values.matrix import Matrix
 from ..values.types import MatrixType, NdarrayType, ScalarType
@@ -380,8 +380,10 @@ class StructField(Field):
         members = self.__dict__.get("members", {})
         if name in members:
             return members[name]
-        known = [*members, *dir(type(self))]
-        raise missing_attribute(f"field '{self.name}' has no member '{name}'", name, known)
+        text = f"field '{self.name}' has no member '{name}'"
+        if name in CELL_OPERATIONS:
+            raise AttributeError(f"{text}\n  hint: {CELL_OPERATIONS[name]}", name=name)
+        raise missing_attribute(text, name, [*members, *dir(self)])
 
     @property
     def keys(self) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiAutodiffError, TaiNameError, TaiSyntaxError, TaiTypeError, did_you_mean
+from ..base.keywords import CELL_OPERATIONS
 from ..fields.field import Field
 from ..fields.structs import Struct, StructField
 from ..tracking.tracked import Number, TrackedMatrix, TrackedVector
@@ -100,7 +101,8 @@ class Expressions(Part):
                 return found
             raise TaiTypeError(
                 f"field '{base.name}' has no attribute '{name}'",
-                did_you_mean(name, [m for m in dir(base) if not m.startswith("_")]),
+                CELL_OPERATIONS.get(name)
+                or did_you_mean(name, [m for m in dir(base) if not m.startswith("_")]),
             )
         try:
             found = getattr(base, name)

@@ -7,7 +7,14 @@ import functools
 from collections.abc import Callable
 from typing import Any, overload
 
-from ...errors import SHOW_TRACEBACK, TaiAutodiffError, TaiError, TaiSyntaxError, TaiTypeError
+from ...errors import (
+    SHOW_TRACEBACK,
+    TaiAutodiffError,
+    TaiError,
+    TaiRuntimeTypeError,
+    TaiSyntaxError,
+    TaiTypeError,
+)
 from ..base import compiling, native, state, texts
 from ..base.elements import Elements
 from ..base.modes import check_kernel, float_of
@@ -98,7 +105,12 @@ class Kernel(native.Launcher):
                 "make it a @ti.func",
             )
         signature = self._get_signature()
-        values = signature.bind(args, kwargs)
+        try:
+            values = signature.bind(args, kwargs)
+        except TaiRuntimeTypeError as error:
+            if grad:
+                error.hint = f"{error.hint}; {self.__name__}.grad takes the same arguments"
+            raise
         if state.tape is not None or state.forward:
             numbers = dict(zip(signature.names, values, strict=True))
             origins.check_call(self, [p.name for p in signature.given], numbers)
@@ -111,9 +123,26 @@ class Kernel(native.Launcher):
                 "make the fields with needs_grad=True, or call ti.root.lazy_grad() after placing "
                 "them",
             )
+        if grad and self._has_result_alone(found):
+            raise TaiAutodiffError(
+                f"{self.__name__}.grad() starts from the gradients of fields and arrays, but "
+                f"kernel '{self.__name__}' stores to none that has a gradient: it returns a number",
+                f"with ti.ad.Tape() as tape: y = {self.__name__}(…) ; and then tape.backward(y)",
+            )
         if compiling.is_shown():
             self._compile_now(found, grad)
         return launch(launcher, signature, found, values, grad, tracks)
+
+    @staticmethod
+    def _has_result_alone(found: Specialization) -> bool:
+        """Whether the result is the only output that may have a gradient."""
+        result = found.result_spec
+        if result is None or not result.has_gradient:
+            return False
+        if any(spec.kind == "array" for spec in found.specs):
+            return False
+        stored = (*found.stored, *found.accumulated)
+        return not any("grad" in field._companions for field in stored)
 
     def _compile_now(self, found: Specialization, grad: bool) -> None:
         """Compiles the code of the launch, and the code that a tape will need, under its name."""

@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..base import dtypes, state
 from ..base.dtypes import cast as cast
+from ..base.keywords import CELL_OPERATIONS
 from . import of_two
 from .division import check_division
 from .matrix import Matrix, apply
@@ -448,7 +449,10 @@ def loop_config(**options: Any) -> None:
         halo: with a mesh, the rows on either side of those of a rank that indices which data choose
             may reach, or "all".
     """
-    raise TaiSyntaxError("ti.loop_config stands in kernels, before a loop")
+    raise TaiSyntaxError(
+        "ti.loop_config stands in kernels, before a loop",
+        "write it in a @ti.kernel, on the line above the for",
+    )
 
 
 def block_local(*fields: Any) -> None:
@@ -477,19 +481,17 @@ def loop_unique(value: Any, covers: Any = None) -> Any:
 # Operations of kernels; the functions below are their names in Python, and raise.
 
 
-def _place_operation(name: str, doc: str, hint: str | None = None) -> Callable[..., Any]:
+def _place_operation(name: str, doc: str) -> Callable[..., Any]:
     def function(*args: Any) -> Any:
-        raise TaiSyntaxError(f"ti.{name} stands in kernels and functions only", hint)
+        raise TaiSyntaxError(
+            f"ti.{name} stands in kernels and functions only", CELL_OPERATIONS.get(name)
+        )
 
     function.__name__ = function.__qualname__ = name
     function.__doc__ = doc
     return function
 
 
-_IN_PYTHON = (
-    "in Python, writing to an element makes its cell active, level.active_cells() lists the "
-    "active ones, and level.deactivate_all() empties a level"
-)
 atomic_add = _place_operation("atomic_add", "x += y in one step; returns the old x.")
 atomic_sub = _place_operation("atomic_sub", "x -= y in one step; returns the old x.")
 atomic_mul = _place_operation("atomic_mul", "x *= y in one step; returns the old x.")
@@ -498,10 +500,10 @@ atomic_max = _place_operation("atomic_max", "x = max(x, y) in one step; returns 
 atomic_and = _place_operation("atomic_and", "x &= y in one step; returns the old x.")
 atomic_or = _place_operation("atomic_or", "x |= y in one step; returns the old x.")
 atomic_xor = _place_operation("atomic_xor", "x ^= y in one step; returns the old x.")
-append = _place_operation("append", "Adds a cell to a dynamic list.", _IN_PYTHON)
-activate = _place_operation("activate", "Makes a cell active.", _IN_PYTHON)
-deactivate = _place_operation("deactivate", "Makes a cell inactive.", _IN_PYTHON)
-is_active = _place_operation("is_active", "Whether a cell is active.", _IN_PYTHON)
-length = _place_operation("length", "The number of cells of a dynamic list.", _IN_PYTHON)
+append = _place_operation("append", "Adds a cell to a dynamic list.")
+activate = _place_operation("activate", "Makes a cell active.")
+deactivate = _place_operation("deactivate", "Makes a cell inactive.")
+is_active = _place_operation("is_active", "Whether a cell is active.")
+length = _place_operation("length", "The number of cells of a dynamic list.")
 rescale_index = _place_operation("rescale_index", "The index of a cell of another level.")
 get_addr = _place_operation("get_addr", "The address of an element.")
