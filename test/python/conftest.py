@@ -150,6 +150,8 @@ def pytest_generate_tests(metafunc):
     name = metafunc.module.__name__
     if name in layout_lists.ABOUT_LAYOUTS or name.startswith("test_sparse"):
         chosen = None
+    if name in layout_lists.DENSE_FILES:
+        chosen = None
     if metafunc.function.__name__ in layout_lists.DENSE_ALONE.get(name, ()):
         chosen = None
     if chosen:

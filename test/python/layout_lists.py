@@ -12,6 +12,20 @@ ABOUT_LAYOUTS = {
     "test_volumes",
 }  # fmt: skip
 
+# Linear solvers take all elements of a vector, so they refuse sparse fields.
+SOLVES = "ti.linalg refuses sparse fields"
+# solve_to compares runs in other types, but the type of a sparse field cannot be changed.
+TYPES = "the type of a sparse field cannot be changed"
+
+# Files whose tests are dense for one reason: most of them call what refuses sparse fields.
+DENSE_FILES = {
+    "test_hvp_of_solves": SOLVES,
+    "test_implicit": SOLVES,
+    "test_linear_solvers": SOLVES,
+    "test_solver_iterations": SOLVES,
+    "test_solver_table": SOLVES,
+}
+
 FORM = "asks for a form that dense trees alone have"
 CELLS = "loops over active cells are not known before the launch"
 LISTS = "kernels that make lists of cells come between"
@@ -34,6 +48,16 @@ DENSE_ALONE = {
     "test_launch_leads": {
         "test_a_shared_field_shows_each_step": SHARES,
         "test_training_with_momentum": FORM,
+    },
+    "test_loops_that_end": {
+        "test_the_adjoint_of_a_solve_begins_where_the_last_one_ended": SOLVES,
+    },
+    "test_lost_detours": {
+        "test_a_view_of_an_earlier_program": SHARES,
+        "test_forward_mode": SHARES,
+        "test_it_is_said_once_with_the_line": SHARES,
+        "test_nothing_is_said_where_nothing_is_lost": SHARES,
+        "test_views_that_are_older_than_the_tape": SHARES,
     },
     "test_lost_gradients": {"test_what_is_overwritten_in_between": CELLS},
     "test_overwritten_gradients": {
@@ -59,6 +83,34 @@ DENSE_ALONE = {
         "test_a_serial_chain_of_returned_numbers": TANGENTS,
         "test_arithmetic_of_python": TANGENTS,
         "test_vectors_matrices_and_components": TANGENTS,
+    },
+    "test_singular_adjoints": {
+        "test_gradients_of_singular_systems": SOLVES,
+    },
+    "test_solve_to": {
+        "test_a_function_that_makes_the_program": TYPES,
+        "test_a_gradient_that_loses_more_than_the_loss": TYPES,
+        "test_again_in_the_chosen_modes": TYPES,
+        "test_an_error_inside_leaves_the_types": TYPES,
+        "test_parts_name_the_lines": TYPES,
+        "test_room_names_the_modes_that_fail": TYPES,
+        "test_room_that_no_mode_fills": TYPES,
+        "test_solvers_that_stop_too_early": TYPES,
+        "test_solvers_with_tolerances_of_their_own": TYPES,
+        "test_structs_matrices_and_returned_numbers": TYPES,
+        "test_the_error_that_was_asked_for": TYPES,
+        "test_the_report_bounds_the_effect_of_solvers": TYPES,
+        "test_tolerance_of_a_solver": TYPES,
+    },
+    "test_solve_to_memory": {
+        "test_a_budget_that_holds_everything": TYPES,
+        "test_a_small_tape_keeps_everything": TYPES,
+        "test_f64_where_it_is_faster": TYPES,
+        "test_snapshots_where_they_are_faster": TYPES,
+    },
+    "test_solve_to_slopes": {
+        "test_a_slope_that_one_step_does_not_show": TYPES,
+        "test_an_error_below_what_near_inputs_show": TYPES,
     },
     "test_stored_outputs": {
         "test_a_function_with_its_own_gradient": FORM,
