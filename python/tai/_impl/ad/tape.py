@@ -45,7 +45,8 @@ class _Missing:
     """Warns, when a tape is garbage collected, that a gradient was never computed: of its losses,
     or if it has none, of what its launches computed.
 
-    Not the tape itself: Python loses a Ctrl-C that comes in a `__del__`, and most tapes need none.
+    This is a class beside the tape because Python loses a Ctrl-C that comes in a `__del__`: most
+    tapes make no such object.
     """
 
     def __init__(self, losses: list[Any]):
@@ -87,11 +88,11 @@ class Tape(native.WithBlock):
     keeps snapshots and runs kernels again: see `memory_budget` and `checkpoint`.
 
     Args:
-        loss: a field of one element that has a gradient: a sum, which is set to zero when
-            the block is entered, and whose gradient starts as 1. Or any field, or a list of fields:
-            fields of more than one number need a seed, here or in `grad`. Or None: then nothing
-            runs in reverse before `backward(…)`, or `grad()` after gradients were set by hand. Or a
-            `ti.ndarray` of one number that has a gradient.
+        loss: a field or `ti.ndarray` of one number that has a gradient. The tape sets it to zero
+            when the block is entered, and starts the reverse sweep from the gradient 1. Or any
+            field with a gradient, or a list of fields: fields of more than one number need a seed,
+            here or in `grad`. Without a loss, the sweep does not run at the end of the block: call
+            `backward(…)`, or set gradients by hand and call `grad()`.
         clear_gradients: set all gradients to zero first, except those that another thread has
             computed and this tape does not use.
         validation: check the global data access rules at run time, element by element: no
@@ -313,7 +314,7 @@ class Tape(native.WithBlock):
             self._missing.is_missing = False
 
     def _note_reading(self) -> None:
-        """Somebody wants the record of a tape, for which one without a loss was made."""
+        """Ends the warning for a tape without a loss, as its record is read: that is a use of it."""
         if not self._losses:
             self._note_use()
 
@@ -353,9 +354,9 @@ class Tape(native.WithBlock):
         Args:
             losses: numbers, or pairs of a value and its seed, which has the shape of the value:
                 numbers, vectors and matrices that kernels returned under the tape, numbers
-                computed from these, and arrays with a gradient. And a dictionary of seeds for
-                fields that have a gradient, arrays of their shapes. Losses of the tape that are
-                not among them start from zero. `backward()` without arguments is `grad()`.
+                computed from these, and arrays with a gradient. Or a dictionary of fields that
+                have a gradient and their seeds, arrays of the shapes of the fields. A loss of the
+                tape that is not given starts from zero. `backward()` without arguments is `grad()`.
 
         Raises:
             TaiRuntimeTypeError: a value that is none of these, or a seed that does not fit.
@@ -569,8 +570,8 @@ def no_grad(function: Callable[..., Any] | None = None) -> Any:
         diagnose()
     ```
 
-    A tape that runs its kernels again, by `replay` or to save memory, calls the function again. It
-    cannot run a block again, and says so.
+    A tape that runs its kernels again, by `replay` or to save memory, calls the function again. If
+    a `with` block stands among them, it raises an error, because it cannot run the block again.
     """
     if function is None:
         return _NoGradBlock()
