@@ -416,9 +416,7 @@ def test_a_state_that_is_seeded_may_be_a_parameter():
 
 def test_a_residual_among_the_parameters():
     ti.init()
-    x = ti.Vector.field(
-        2, ti.f64, shape=3, needs_grad=True, needs_dual=True, layout=ti.Layout.SOA
-    )
+    x = ti.Vector.field(2, ti.f64, shape=3, needs_grad=True, needs_dual=True, layout=ti.Layout.SOA)
     for residuals in (x, [x], x.get_scalar_field(1)):
         with pytest.raises(ti.TaiAutodiffError, match="is a parameter and also a residual"):
             ti.optim.GaussNewton([x], residuals)

@@ -314,7 +314,7 @@ class Tape(native.WithBlock):
             self._missing.is_missing = False
 
     def _note_reading(self) -> None:
-        """Ends the warning for a tape without a loss, as its record is read: that is a use of it."""
+        """Ends the warning for a tape without a loss, because its record is used."""
         if not self._losses:
             self._note_use()
 
