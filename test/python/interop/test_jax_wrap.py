@@ -375,3 +375,40 @@ def test_stores_to_one_element():
         # The gradient belongs to the iteration whose number remained.
         wanted = [2 * v if v * v == y else 0.0 for v in x.tolist()]
         assert gradient.tolist() == wanted and sum(g != 0 for g in wanted) == 1
+
+
+@pytest.mark.parametrize("n", [0, 3])
+@pytest.mark.parametrize(
+    ("dtype", "hint"),
+    [("bfloat16", "x.astype(jnp.float32)"), ("float8_e5m2", "x.astype"), ("complex64", "x.real")],
+)
+def test_types_that_kernels_have_not(n, dtype, hint):
+    x = jnp.ones(n, dtype)
+    calls = [lambda: SQUARES(x, 2.0), lambda: jax.jit(SQUARES)(x, 2.0)]
+    if dtype == "bfloat16":
+        calls.append(lambda: jax.grad(lambda x: SQUARES(x, 2.0).sum().astype("float32"))(x))
+    for call in calls:
+        with pytest.raises(ti.TaiRuntimeTypeError, match=f"'x' .* of type {dtype}") as caught:
+            call()
+        assert hint in caught.value.hint
+    assert SQUARES(x.real.astype(jnp.float32), 2.0).shape == (n,)
+
+
+def test_a_result_of_a_type_that_kernels_have_not():
+    def like(x, s):
+        return jax.ShapeDtypeStruct(x.shape, jnp.bfloat16)
+
+    with pytest.raises(ti.TaiRuntimeTypeError, match="bfloat16 as the type of 'y'"):
+        ti.jax.wrap(scale_squares, outputs={"y": like})(jnp.ones(3), 2.0)
+
+
+@pytest.mark.parametrize("answer", ["a", -1, (2, -1), None, 1.5])
+def test_an_answer_that_is_no_shape(answer):
+    with pytest.raises(ti.TaiRuntimeTypeError, match="as the shape of 'y'"):
+        ti.jax.wrap(scale_squares, outputs={"y": lambda x, s: answer})(jnp.ones(3), 2.0)
+
+
+@pytest.mark.parametrize("answer", [3, np.int64(3), [3]])
+def test_answers_that_are_shapes(answer):
+    f = ti.jax.wrap(scale_squares, outputs={"y": lambda x, s: answer})
+    assert f(jnp.full(3, 2.0), 2.0).tolist() == [8, 8, 8]

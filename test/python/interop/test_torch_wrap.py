@@ -463,6 +463,14 @@ WRONG_INPUTS = {
         "'a' of operator 'blend' is a number, which has no gradient", "a.item()",
     ),
     "shape": (lambda x: (x, x, torch.ones(2)), "a tensor of shape (2,)", "a.item()"),
+    "sparse": (lambda x: (x.to_sparse(), x, 1.0), "'x' of operator 'blend' is sparse",
+               "pass x.to_dense()"),
+    "rows": (lambda x: (x, torch.eye(3).to_sparse_csr(), 1.0), "'w' of operator 'blend' is sparse",
+             "pass w.to_dense()"),
+    "quantized": (
+        lambda x: (torch.quantize_per_tensor(x.float(), 0.1, 0, torch.qint8), x, 1.0),
+        "is quantized", "pass x.dequantize()",
+    ),
 }  # fmt: skip
 
 

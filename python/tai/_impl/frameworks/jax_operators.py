@@ -23,7 +23,7 @@ from ..interop.streams import let_stream_wait, wait_for_stream
 from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
 from ..tracking import tracked
-from .parameters import asks_for_tape, check_outputs, copy_shared, in_order, kinds_of
+from .parameters import as_shape, asks_for_tape, check_outputs, copy_shared, in_order, kinds_of
 from .stacked import Stacks
 from .writers import ForwardRuns, kind_of
 from .xla_buffers import DeviceBuffer, copy_of, number_of, store_number, zeros_like
@@ -33,6 +33,10 @@ _TARGET = "tai_call"
 # be used by the process that made them.
 _SESSION = secrets.randbits(62)
 _tasks: list[_Task] = []
+# The types of numbers that kernels take from XLA.
+_TYPES = {"bool", "float16", "float32", "float64"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 
 
 class _Array:
@@ -279,6 +283,14 @@ class Operator:
                 "pass an array of JAX or NumPy, or a number",
             ) from None
         if kind == "array":
+            if str(array.dtype) not in _TYPES:
+                raise TaiRuntimeTypeError(
+                    f"input '{name}' of '{self.__name__}' holds numbers of type {array.dtype}, "
+                    "which kernels have not",
+                    f"convert it: {name}.astype(jnp.float32)"
+                    if array.dtype.kind != "c"
+                    else f"pass its parts, {name}.real and {name}.imag",
+                )
             return array
         dtype: Any = {"float": jnp.result_type(float), "int": jnp.result_type(int), "bool": bool}[
             kind
@@ -329,14 +341,20 @@ class Operator:
                 found.append(jax.ShapeDtypeStruct(given[shape].shape, given[shape].dtype))
                 continue
             answer = shape(*inputs)
-            if hasattr(answer, "shape") and hasattr(answer, "dtype"):
+            is_number = isinstance(answer, np.integer)
+            if hasattr(answer, "shape") and hasattr(answer, "dtype") and not is_number:
+                if str(answer.dtype) not in _TYPES:
+                    raise TaiRuntimeTypeError(
+                        f"outputs of '{self.__name__}' give {answer.dtype} as the type of "
+                        f"'{name}', which kernels have not",
+                        "use a type such as jnp.float32, and convert the result",
+                    )
                 found.append(jax.ShapeDtypeStruct(answer.shape, answer.dtype))
                 continue
             arrays = (i for i, k in zip(inputs, self._kinds, strict=True) if k == "array")
             like = next(arrays, None)
             dtype = jnp.result_type(float) if like is None else like.dtype
-            answer = (answer,) if isinstance(answer, int) else tuple(answer)
-            found.append(jax.ShapeDtypeStruct(answer, dtype))
+            found.append(jax.ShapeDtypeStruct(as_shape(self.__name__, name, answer), dtype))
         return found
 
     def _call(self, *inputs: Any) -> Any:

@@ -159,3 +159,23 @@ def _takes(function: Any, count: int) -> bool:
     except ValueError:  # of a function in C that does not say
         return True
     return True
+
+
+def as_shape(operator: str, output: str, answer: Any) -> tuple:
+    """Returns the shape that a function of `outputs` has answered: an extent or several.
+
+    Extents are whole numbers from 0 on, or symbols of a framework that stand for them. A symbol is
+    not compared, because the framework would take the answer for a fact of the program.
+
+    Raises:
+        TaiRuntimeTypeError: it is no shape.
+    """
+    no_numbers = (str, bytes, float, type(None))
+    is_list = isinstance(answer, Iterable) and not isinstance(answer, no_numbers)
+    extents = tuple(answer) if is_list else (answer,)
+    if any(n < 0 if isinstance(n, int) else isinstance(n, no_numbers) for n in extents):
+        raise TaiRuntimeTypeError(
+            f"outputs of '{operator}' give {answer!r} as the shape of '{output}'",
+            "return a whole number or a tuple of them, such as x.shape or (x.shape[0], 3)",
+        )
+    return extents

@@ -20,9 +20,10 @@ from ...errors import (
 )
 from ..ad.tape import Tape, clear_all_gradients
 from ..base import native, state
+from ..interop.device_arrays import find_form
 from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
-from .parameters import asks_for_tape, check_outputs, copy_shared, in_order, kinds_of
+from .parameters import as_shape, asks_for_tape, check_outputs, copy_shared, in_order, kinds_of
 from .stacked import Stacks
 from .torch_watch import ComputationWatch
 from .writers import ForwardRuns, kind_of
@@ -228,6 +229,8 @@ class Operator:
             wanted: for a gradient, the tensors with respect to which it is computed.
         """
         moved = [a if d is None else a.movedim(d, 0) for a, d in zip(args, in_dims, strict=True)]
+        if info.batch_size == 0:
+            return self._in_empty_batch(in_dims, moved, wanted)
         flags = iter(() if wanted is None else wanted)
         names = []
         for number, is_tensor in enumerate([*self._is_tensor, *[True] * len(args)][: len(args)]):
@@ -247,6 +250,29 @@ class Operator:
                 self._stacks.refuse(names, error)
         slices = _slices(info.batch_size, in_dims, args)
         return _stacked([call(self, one) for one in slices])
+
+    def _in_empty_batch(
+        self, in_dims: Sequence, moved: list[Any], wanted: Sequence[bool] | None
+    ) -> Any:
+        """The results of a batch without elements, for which nothing is launched."""
+        ones = [
+            a if d is None else a.new_zeros(a.shape[1:])
+            for a, d in zip(moved, in_dims, strict=True)
+        ]  # fmt: skip
+        if wanted is None:
+            made = self._allocate(ones, torch.empty)
+        else:
+            made = self._fake_gradient(*ones, wanted)
+        found = [one.new_zeros((0, *one.shape)) for one in made]
+        if wanted is None and torch.is_grad_enabled():
+            # The results require a gradient as those of other batches do; it has no elements.
+            for number, one in enumerate(found):
+                for a in moved if one.is_floating_point() else ():
+                    if isinstance(a, torch.Tensor) and a.requires_grad:
+                        found[number] = found[number] + a.sum().to(one.dtype)
+        if wanted is None and len(found) == 1:
+            return found[0], 0
+        return tuple(found), (0,) * len(found)
 
     # Launches
 
@@ -271,11 +297,24 @@ class Operator:
                 like, answer = answer, answer.shape
             else:
                 like = next((i for i in inputs if isinstance(i, torch.Tensor)), None)
-            if isinstance(answer, (int, torch.SymInt)):
-                answer = (answer,)
             options = {} if like is None else {"dtype": like.dtype, "device": like.device}
-            made.append(make(tuple(answer), **options))
+            made.append(make(as_shape(self.__name__, name, answer), **options))
         return made
+
+    def _refuse_forms(self, inputs: Sequence[Any]) -> None:
+        """Raises an error if a tensor is sparse, quantized or nested.
+
+        Raises:
+            TaiRuntimeTypeError: there is such a tensor.
+        """
+        for name, value, is_tensor in zip(self.inputs, inputs, self._is_tensor, strict=True):
+            if is_tensor and (problem := find_form(value)) is not None:
+                what, hint = problem
+                raise TaiRuntimeTypeError(
+                    f"input '{name}' of operator '{self.__name__}' {what}: kernels take dense "
+                    "memory",
+                    hint.replace("pass x.", f"pass {name}."),
+                )
 
     def _launch(self, inputs: Sequence[Any], outputs: Sequence[Any], call: Any = None) -> Any:
         call = self._function if call is None else call
@@ -290,6 +329,7 @@ class Operator:
         found = self._launch_at_once(*inputs)
         if found is not None:
             return found
+        self._refuse_forms(inputs)
         outputs = self._allocate(inputs, torch.zeros)
         plain = []
         for value, is_tensor in zip(inputs, self._is_tensor, strict=True):

@@ -144,6 +144,14 @@ _FORMS = [
 ]  # fmt: skip
 
 
+def find_form(tensor: Any) -> tuple[str, str] | None:
+    """The reason and the hint if a tensor of torch is stored in no dense memory, or None."""
+    for is_form, what, hint in _FORMS[:4]:
+        if is_form(tensor):
+            return what, hint
+    return None
+
+
 def is_of_jax(value: Any) -> bool:
     """Whether a value is an array of JAX, or a tracer that stands for one."""
     return type(value).__module__.split(".")[0] in ("jax", "jaxlib")
