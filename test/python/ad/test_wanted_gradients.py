@@ -249,3 +249,36 @@ def test_a_loss_that_depends_on_nothing_wanted_warns():
     with pytest.warns(ti.errors.TaiGradientWarning, match="whose gradient is asked for"):
         with ti.ad.Tape(scene.loss, wrt=scene.p):
             scene.measure(0)
+
+
+def test_a_gradient_has_no_gradient():
+    """Of a gradient and of a dual there is none, and each function says so by the field's name."""
+    ti.init()
+    x = ti.field(ti.f32, shape=3, needs_grad=True, needs_dual=True, name="x")
+    s = ti.Struct.field({"a": ti.f32}, shape=3, needs_grad=True, needs_dual=True, name="s")
+    loss = ti.field(ti.f32, shape=(), needs_grad=True, needs_dual=True, name="loss")
+
+    @ti.kernel
+    def measure():
+        for i in x:
+            loss[None] += x[i] * x[i]
+
+    def record(*args, **options):
+        with ti.ad.Tape(*args, **options):
+            measure()
+
+    ones = np.ones(3)
+    for refused in (
+        lambda: record(loss, wrt=[x.grad]),
+        lambda: record(x.grad),
+        lambda: ti.ad.vjp(measure, x.grad, loss, 1.0),
+        lambda: ti.ad.hvp(measure, loss, x.grad, ones),
+        lambda: ti.ad.check(measure, loss=loss, wrt=[x.grad]),
+        lambda: ti.optim.SGD([x.grad]),
+    ):
+        with pytest.raises(TaiAutodiffError, match="'x.grad' is a gradient, which has no gradient"):
+            refused()
+    with pytest.raises(TaiAutodiffError, match="'x.dual' is a dual, which has no gradient"):
+        record(loss, wrt=x.dual)
+    with pytest.raises(TaiRuntimeTypeError, match="'s' is a field of structs"):
+        ti.ad.check(measure, loss=s, wrt=[x])

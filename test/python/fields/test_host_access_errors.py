@@ -91,3 +91,23 @@ def test_arrays_that_hold_no_numbers(words):
     with pytest.raises(ti.TaiRuntimeTypeError, match="holds numbers of type f32, but"):
         x.from_numpy(np.array(words))
     assert not x.to_numpy().any()
+
+
+def test_members_that_a_struct_lacks():
+    s = ti.Struct.field({"a": ti.f32, "b": ti.i32}, shape=3, name="s")
+    for refused in (
+        lambda: put(s, 0, {"a": 1.0, "c": 2}),
+        lambda: s.from_numpy({"c": np.zeros(3, np.float32)}),
+    ):
+        with pytest.raises(ti.errors.TaiRuntimeTypeError, match="'s' has no member 'c'"):
+            refused()
+    assert s.a[0] == 0
+    with pytest.raises(ti.errors.TaiRuntimeTypeError, match="a dictionary of arrays, but got nd"):
+        s.from_numpy(np.zeros(3))
+    with pytest.raises(ti.errors.TaiRuntimeTypeError, match="a dictionary of arrays, but got list"):
+        s.from_torch([])
+
+
+def test_parents_end_at_the_root(scene):
+    x = scene[0]
+    assert x.parent(2**70) is None and x.parent(1) is not None

@@ -8,7 +8,7 @@ from typing import Any
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError
 from ..base import state
 from .compare import CheckResult, Program, as_fields, check_program, check_start, run_records
-from .seeds import number_of
+from .seeds import as_float_field, number_of
 from .snapshot import Snapshot
 from .tape import Tape
 
@@ -73,7 +73,7 @@ def check(
         )
     wrt = as_fields(wrt, "wrt")
     if loss is not None:
-        as_fields([loss], "loss")
+        as_fields([as_float_field(loss, "the loss")], "loss")
         what += f", loss '{loss.name}'"
     for f in [*(wrt or ()), *([loss] if loss is not None else [])]:
         f.materialize()

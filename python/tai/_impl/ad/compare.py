@@ -579,9 +579,7 @@ def as_fields(wanted: Any, what: str) -> list[Any] | None:
     for f in fields:
         if not isinstance(f, Field):
             raise TaiRuntimeTypeError(f"{what} takes fields, but got {f!r}")
-        if f.grad is None:
-            raise TaiAutodiffError(f"field '{f.name}' is of type {f.dtype}, not a float")
-        f.grad._placed_node()  # raises
+        f.placed_grad()  # raises
     return fields
 
 

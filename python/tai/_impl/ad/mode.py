@@ -183,8 +183,7 @@ def derivatives_of_gradients(
     with one_thread:
         clear_duals()
         for field, tangent in checked:
-            if field.grad is None or field.grad.snode is None:
-                field.grad._placed_node()  # raises
+            field.placed_grad()  # raises
             field.dual.from_numpy(tangent)
         with ForwardMode():
             run()

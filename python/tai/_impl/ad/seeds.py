@@ -121,9 +121,7 @@ def number_of(field: Any) -> float:
 def require_grad(field: Any, frame: Any) -> None:
     """Allocates a field and its gradient; raises an error if there is no gradient."""
     field.materialize(frame)
-    grad = field.grad
-    if grad.snode is None:
-        grad._placed_node()  # raises
+    field.placed_grad()  # raises
 
 
 def parts_of(field: Any) -> list[tuple[Any, Any]]:

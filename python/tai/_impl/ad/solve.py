@@ -43,7 +43,7 @@ from .density import choose_density
 from .memory import parse_checkpoint
 from .precision import PrecisionReport, find_not_finite, owner_of
 from .retype import Version, can_change
-from .seeds import number_of, require_grad
+from .seeds import as_float_field, number_of, require_grad
 from .shadowed import error_of_f64
 from .slopes import Slopes
 from .snapshot import Snapshot
@@ -138,7 +138,7 @@ def solve_to(
     if memory_budget is not None:
         parse_checkpoint(None, memory_budget)
     wanted = as_fields(wrt, "wrt") if wrt is not None else None
-    as_fields([loss], "loss")
+    as_fields([as_float_field(loss, "the loss")], "loss")
     for f in (loss, *(wanted or ())):
         require_grad(f, inspect.currentframe())
     try:

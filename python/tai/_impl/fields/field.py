@@ -147,6 +147,26 @@ class Field(Elements, Shareable):
         """The field of tangents in forward mode, or None for a field of integers."""
         return self._companion("dual")
 
+    def placed_grad(self) -> Any:
+        """Returns the gradient of the field, which has a place in a layout.
+
+        Raises:
+            TaiAutodiffError: the field is of integers, is itself a gradient or a dual, or has no
+                gradient.
+        """
+        grad = self.grad
+        if grad is None and not self.dtype.is_float:
+            raise TaiAutodiffError(f"field '{self.name}' is of type {self.dtype}, not a float")
+        if grad is None:
+            what = "gradient" if self.role == "grad" else "dual"
+            raise TaiAutodiffError(
+                f"'{self.name}' is a {what}, which has no gradient of its own",
+                "name the field itself; ti.ad.hvp and ti.ad.hessian give second derivatives",
+            )
+        if grad.snode is None:
+            grad._placed_node()  # raises
+        return grad
+
     def _make_companion(self, which: str) -> Field:
         raise NotImplementedError
 

@@ -229,7 +229,9 @@ class SNode:
         """The level `n` levels up, the last being `ti.root`; None above that."""
         node: SNode | None = self
         for _ in range(n):
-            node = node._parent if node is not None else None
+            if node is None:
+                break
+            node = node._parent
         return node
 
     @property

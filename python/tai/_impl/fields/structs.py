@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -449,8 +449,19 @@ class StructField(Field):
                 f"an element of field '{self.name}' is a struct, not {value!r}",
                 f"{self.struct_type!r}(…)",
             )
-        for name, member in items_of(value):
+        entries = dict(items_of(value))
+        self._check_members(entries)
+        for name, member in entries.items():
             self.members[name][key] = member
+
+    def _check_members(self, names: Any) -> None:
+        """Raises an error for a name that is no member of the struct."""
+        for name in names:
+            if name not in self.members:
+                raise TaiRuntimeTypeError(
+                    f"field '{self.name}' has no member {name!r}",
+                    f"its members are {', '.join(self.members)}",
+                )
 
     def to_numpy(self, dtype: Any = None) -> dict[str, Any]:  # type: ignore[override]
         """Returns a copy as a dictionary of arrays."""
@@ -472,13 +483,24 @@ class StructField(Field):
         """Copies a dictionary of arrays, or a structured array, into the members that it names."""
         if isinstance(arrays, np.ndarray) and arrays.dtype.names is not None:
             arrays = {name: arrays[name] for name in arrays.dtype.names}
+        self._check_arrays(arrays)
         for name, array in arrays.items():
             self.members[name].from_numpy(array)
 
     def to_torch(self, device: Any = None) -> dict[str, Any]:
         return {name: member.to_torch(device=device) for name, member in self.members.items()}
 
+    def _check_arrays(self, arrays: Any) -> None:
+        """Raises an error for anything but a dictionary with arrays of members."""
+        if not isinstance(arrays, Mapping):
+            raise TaiRuntimeTypeError(
+                f"field '{self.name}' takes a dictionary of arrays, but got {type(arrays).__name__}",
+                "{" + ", ".join(f"{name!r}: …" for name in self.members) + "}",
+            )
+        self._check_members(arrays)
+
     def from_torch(self, tensors: dict[str, Any]) -> None:
+        self._check_arrays(tensors)
         for name, tensor in tensors.items():
             self.members[name].from_torch(tensor)
 

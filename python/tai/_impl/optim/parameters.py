@@ -54,8 +54,8 @@ class Parameter:
                 f"{user}: {self.name} is of type {value.dtype}, which has no gradient",
                 "parameters are of a float type such as ti.f32",
             )
-        if not self.is_array and value.grad.snode is None:
-            value.grad._placed_node()  # raises
+        if not self.is_array:
+            value.placed_grad()  # raises
         if value.grad is None:
             raise TaiAutodiffError(
                 f"{user}: an array has no gradient",
