@@ -282,3 +282,11 @@ def test_a_gradient_has_no_gradient():
         record(loss, wrt=x.dual)
     with pytest.raises(TaiRuntimeTypeError, match="'s' is a field of structs"):
         ti.ad.check(measure, loss=s, wrt=[x])
+
+
+@pytest.mark.parametrize("budget", ["1KB", 1.5, float("nan"), float("inf"), True, b"8"], ids=str)
+def test_a_budget_that_is_no_number_of_bytes(budget):
+    ti.init()
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+    with pytest.raises(TaiRuntimeTypeError, match="memory_budget is a number of bytes, but got"):
+        ti.ad.Tape(loss, memory_budget=budget)

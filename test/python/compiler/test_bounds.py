@@ -723,3 +723,44 @@ def store(x: ti.template(), i: ti.i32):
     assert "program0.py:6:" in lines[0]
     assert "program1.py:11:" in lines[1]
     assert lines[2] == lines[0]
+
+
+def test_arrays_that_are_clamped():
+    """`boundary="clamp"` moves indices to the nearest element; the gradient goes there, too."""
+    ti.init(default_fp=ti.f64)
+    clamped = ti.types.ndarray(dtype=ti.f64, ndim=1, boundary="clamp")
+    vectors = ti.types.ndarray(dtype=ti.types.vector(2, ti.f64), ndim=2, boundary="clamp")
+
+    @ti.kernel
+    def gather(a: clamped, b: vectors, k: ti.types.ndarray(dtype=ti.i32, ndim=1)) -> ti.f64:
+        s = a[-1] + a[100]
+        for i in k:
+            s += 10 * a[k[i]] + b[k[i], 1 - k[i]][1]
+        b[-5, 99] = ti.Vector([7.0, 8.0])
+        return s
+
+    a, b = np.array([1.0, 2, 4]), np.arange(12.0).reshape(2, 3, 2)
+    k = np.array([-3, 0, 1, 2, 3, 10**9, -(2**31) + 2], np.int32)
+    rows, columns = np.clip(k, 0, 1), np.clip(1 - k.astype(np.int64), 0, 2)
+    wanted = 5 + 10 * a[np.clip(k, 0, 2)].sum() + b[rows, columns, 1].sum()
+    assert gather(a, b, k) == wanted
+    assert b[0, 2].tolist() == [7, 8]
+
+    x = ti.ndarray(ti.f64, 3, needs_grad=True)
+    x.from_numpy(a)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def measure(a: clamped):
+        for i in range(5):
+            loss[None] += (a[i - 1] - a[i]) ** 2 + i * a[7 * i - 3]
+
+    with ti.ad.Tape(loss):
+        measure(x)
+    assert loss[None] == 45
+    assert x.grad.to_numpy().tolist() == [-2, -2, 14]
+
+
+def test_a_boundary_of_another_name_is_refused():
+    with pytest.raises(ti.errors.TaiRuntimeTypeError, match="'unsafe' or 'clamp', but got 'wrap'"):
+        ti.types.ndarray(boundary="wrap")

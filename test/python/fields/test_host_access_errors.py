@@ -102,9 +102,9 @@ def test_members_that_a_struct_lacks():
         with pytest.raises(ti.errors.TaiRuntimeTypeError, match="'s' has no member 'c'"):
             refused()
     assert s.a[0] == 0
-    with pytest.raises(ti.errors.TaiRuntimeTypeError, match="a dictionary of arrays, but got nd"):
+    with pytest.raises(ti.errors.TaiRuntimeTypeError, match="a dictionary of arrays, not ndarray"):
         s.from_numpy(np.zeros(3))
-    with pytest.raises(ti.errors.TaiRuntimeTypeError, match="a dictionary of arrays, but got list"):
+    with pytest.raises(ti.errors.TaiRuntimeTypeError, match="a dictionary of arrays, not list"):
         s.from_torch([])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from typing import Any, NamedTuple
 
 from ...errors import TaiRuntimeTypeError
@@ -44,8 +45,12 @@ def parse_checkpoint(checkpoint: Any, memory_budget: Any) -> tuple[int, int, int
     """
     budget = 0
     if memory_budget is not None:
-        if isinstance(memory_budget, bool) or memory_budget != int(memory_budget):
-            raise TaiRuntimeTypeError("memory_budget is a number of bytes")
+        is_number = isinstance(memory_budget, numbers.Real) and not isinstance(memory_budget, bool)
+        if not is_number or not float(memory_budget).is_integer():
+            raise TaiRuntimeTypeError(
+                f"memory_budget is a number of bytes, but got {memory_budget!r}",
+                "memory_budget=64 << 20 is 64 MiB",
+            )
         budget = int(memory_budget)
         if budget <= 0:
             raise TaiRuntimeTypeError(f"a memory budget of {budget} bytes holds nothing")

@@ -200,7 +200,7 @@ class Tape(native.WithBlock):
         self._is_open = True
         if self._looks_at_rounding:
             self._probes = rounding.begin(program, find_not_finite())
-        self._core = program.context.tape(None, self.clear_gradients)
+        self._core = program.context.tape(None, bool(self.clear_gradients))
         recomputes = self._checkpoint is not None
         if self._checkpoint is not None:
             self._core.set_checkpoint(*self._checkpoint)

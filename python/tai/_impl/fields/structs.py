@@ -494,7 +494,7 @@ class StructField(Field):
         """Raises an error for anything but a dictionary with arrays of members."""
         if not isinstance(arrays, Mapping):
             raise TaiRuntimeTypeError(
-                f"field '{self.name}' takes a dictionary of arrays, but got {type(arrays).__name__}",
+                f"field '{self.name}' takes a dictionary of arrays, not {type(arrays).__name__}",
                 "{" + ", ".join(f"{name!r}: …" for name in self.members) + "}",
             )
         self._check_members(arrays)

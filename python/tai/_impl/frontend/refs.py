@@ -465,9 +465,16 @@ class ArrayArgument(Elements):
         indices = flatten_indices(key)
         if len(indices) != self.ndim:
             raise TaiIndexError(_count_message("array", self.name, self.ndim, len(indices)))
+        if self.spec.is_clamped:
+            indices = list(map(self._clamped, indices, self.shape))
         if self._is_stacked:
             indices.insert(0, self.emitter.worlds.index_of_array(self.name))
         return ArrayElement(self.emitter, self, [self.emitter.to_index(i) for i in indices])
+
+    def _clamped(self, index: Any, extent: Value) -> Any:
+        """The index, moved to the nearest one of the array, as `boundary="clamp"` asks for."""
+        last = self.emitter.binary("-", extent, 1)
+        return self.emitter.binary("max", self.emitter.binary("min", index, last), 0)
 
 
 def _count(shape: tuple[int, ...]) -> int:

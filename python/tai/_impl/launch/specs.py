@@ -35,6 +35,7 @@ class ArgumentSpec:
             the array of its gradient.
         alias: the number of the parameter that is the same array, or None.
         is_element_fixed: whether the annotation says how many dimensions an element has.
+        is_clamped: whether indices of the array are moved to the nearest element.
         is_checked: whether Python must look at each array that is given.
         is_constant: whether it is an array whose gradient the annotation leaves out.
         is_read, is_written: whether the kernel reads and writes the array; known once it is
@@ -53,7 +54,7 @@ class ArgumentSpec:
         self.taken: Any = None
         self.alive: Any = None
         self.alias: int | None = None
-        self.is_element_fixed = self.is_checked = self.is_constant = False
+        self.is_element_fixed = self.is_clamped = self.is_checked = self.is_constant = False
         self.is_read = self.is_written = self.is_loaded = self.uses_gradient = False
 
     @property
@@ -221,6 +222,7 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> 
         "array", dt, ndim=ndim, element_shape=element_shape, has_gradient=has_gradient
     )
     spec.is_element_fixed = bool(type_.element_dim)
+    spec.is_clamped = type_.boundary == "clamp"
     # An array may come without the gradient that the annotation asks for, which launches check.
     spec.is_checked = bool(type_.needs_grad) and not has_gradient
     # The C++ launcher distinguishes arrays by whether they have gradients, so it would take this

@@ -149,6 +149,8 @@ class NdarrayType:
         needs_grad: True refuses a `ti.ndarray` without a gradient; False takes the array for a
             constant, also one that has a gradient. Without either, an array that has a gradient
             is differentiated. A NumPy array is always constant.
+        boundary: with `"clamp"` an index that leaves the array is moved to the nearest one of it.
+            `"unsafe"` leaves such indices to the checks of the context.
     """
 
     def __init__(
@@ -164,6 +166,9 @@ class NdarrayType:
             self.element_shape, dtype = dtype.shape, dtype.dtype
         if self.element_shape is not None:
             self.element_dim = len(self.element_shape)
+        if boundary not in ("unsafe", "clamp"):
+            raise TaiRuntimeTypeError(f"boundary is 'unsafe' or 'clamp', but got {boundary!r}")
+        self.boundary = boundary
         self._dtype = dtype
         if dtype is not None and dtypes.to_dtype(dtype) is None:
             raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
