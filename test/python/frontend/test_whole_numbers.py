@@ -455,3 +455,44 @@ def test_conversions_that_are_said_do_not_warn():
         warnings.simplefilter("error")
         assert f(7.5) == 7
     assert x.to_numpy().tolist() == [3, 7, 3, 7]
+
+
+def test_loop_variables_of_programs_with_64_bits():
+    """With `default_ip=ti.i64` squares of loop variables do not wrap, whatever the loop is."""
+    ti.init(default_ip=ti.i64)
+    n = 100_000
+    x = ti.field(ti.i32, n)
+
+    @ti.kernel
+    def by_range() -> ti.i64:
+        t = 0
+        for i in range(n):
+            t += i * i
+        return t
+
+    @ti.kernel
+    def by_field() -> ti.i64:
+        t = 0
+        for i in x:
+            t += i * i
+        return t
+
+    @ti.kernel
+    def in_order(m: ti.i32) -> ti.i64:
+        t = 0
+        for _ in range(1):
+            for i in range(1, m, 2):
+                t += i * i
+        return t
+
+    @ti.kernel
+    def grouped() -> ti.i64:
+        t = 0
+        for k in ti.grouped(ti.ndrange((-n, n), 1)):
+            t += k[0] * k[0]
+        return t
+
+    squares = sum(i * i for i in range(n))
+    assert by_range() == by_field() == squares
+    assert in_order(n) == sum(i * i for i in range(1, n, 2))
+    assert grouped() == 2 * squares + n * n

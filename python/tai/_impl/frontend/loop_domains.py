@@ -237,8 +237,10 @@ class LoopDomains(Part):
                 self.frame.define(name, Variable(name, index, "loop variable"))
 
     def index_type_of(self, parts: list[Any]) -> DataType:
-        """The type of a loop variable: that of its bounds, and of numbers that they are."""
-        dt = i32
+        """The type of a loop variable: that of its bounds, and of numbers that they are. With
+        `default_ip=ti.i64` it is i64, so that `i * i` does not wrap in a program of such numbers.
+        """
+        dt = i64 if self.context.options.default_ip is i64 else i32
         for part in parts:
             if not isinstance(part, Value):
                 # The upper bound itself is not an index of the loop, so it may exceed the type by
