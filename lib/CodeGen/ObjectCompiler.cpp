@@ -262,6 +262,7 @@ void ObjectCompiler::runPasses(Module &module) {
       [&](FunctionPassManager &late, OptimizationLevel level) {
         late.addPass(TransposeColumns());
         late.addPass(WidenSums());
+        late.addPass(JoinVectorMath(*vectorMath));
         // Calls that may be contracted, in a kernel compiled without
         // contraction, belong to a deterministic kernel. Its results must not
         // depend on whether a loop is vectorised, and vectorisation depends on

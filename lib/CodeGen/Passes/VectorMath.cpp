@@ -8,6 +8,7 @@
 #include "tai/CodeGen/Passes/VectorMath.h"
 #include "llvm/ADT/StringSet.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
+#include "llvm/IR/IRBuilder.h"
 #include "llvm/IR/InstIterator.h"
 #include "llvm/IR/Module.h"
 #include "llvm/IR/Operator.h"
@@ -35,8 +36,8 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
     for (unsigned lanes : {most / 4, most / 2, most})
       if (lanes < most || has512)
         wide.vectors.push_back({lanes, stem + std::to_string(lanes)});
-    forms[("llvm." + name + (isDouble ? ".f64" : ".f32")).str()] = wide;
-    forms[(name + (isDouble ? "" : "f")).str()] = wide;
+    add(("llvm." + name + (isDouble ? ".f64" : ".f32")).str(),
+        (name + (isDouble ? "" : "f")).str(), wide);
   };
   auto addSleef = [&](StringRef name, StringRef type, unsigned least) {
     // The chosen forms of SLEEF's functions give the same bits for any number
@@ -47,15 +48,17 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
     sleef.scalar = stem + "1_u10purecfma";
     unsigned lanes = isDouble ? 2 : 4;
     for (StringRef target : {"avx2128", "avx2", "avx512f"}) {
-      if (lanes >= least && (target != "avx512f" || has512))
+      // With AVX-512, two calls for 256 bits become one for 512.
+      bool isEnough = lanes >= least || (target == "avx2" && has512);
+      if (isEnough && (target != "avx512f" || has512))
         sleef.vectors.push_back(
             {lanes, stem + std::to_string(lanes) + ("_u10" + target).str()});
       lanes *= 2;
     }
     if (sleef.vectors.empty())
       return;
-    forms[("llvm." + name + "." + type).str()] = sleef;
-    forms[(name + (isDouble ? "" : "f")).str()] = sleef;
+    add(("llvm." + name + "." + type).str(),
+        (name + (isDouble ? "" : "f")).str(), sleef);
   };
 #define TAI_WIDE_FUNCTION(name, arguments) addWide(#name, false);
 #define TAI_WIDE_F64_FUNCTION(name) addWide(#name, true);
@@ -64,6 +67,15 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
     return;
 #define TAI_SLEEF_FUNCTION(name, type, least) addSleef(#name, #type, least);
 #include "tai/ABI/VectorMath.def"
+}
+
+void VectorMath::add(StringRef intrinsic, StringRef function,
+                     const Forms &added) {
+  forms[intrinsic] = added;
+  forms[function] = added;
+  for (const auto &[half, whole] :
+       zip(added.vectors, drop_begin(added.vectors)))
+    twice[half.second] = whole.second;
 }
 
 const VectorMath::Forms *VectorMath::find(const CallInst &call) const {
@@ -129,6 +141,76 @@ PreservedAnalyses NameVectorMath::run(Function &function,
     VFABI::setVectorVariantNames(call, variants);
   }
   return PreservedAnalyses::all();
+}
+
+/// Joins calls of one vector form in the block, in pairs, if their results are
+/// first needed behind both.
+static bool joinCalls(BasicBlock &block, const VectorMath &math) {
+  bool changed = false;
+  // Calls that were not joined yet, at most one of each form, whose results no
+  // instruction used so far.
+  SmallVector<CallInst *> open;
+  for (Instruction &instruction : make_early_inc_range(block)) {
+    erase_if(open, [&](CallInst *call) {
+      return is_contained(instruction.operands(), call);
+    });
+    auto *second = dyn_cast<CallInst>(&instruction);
+    if (!second || !second->getCalledFunction())
+      continue;
+    Function *form = second->getCalledFunction();
+    StringRef wider = math.findTwice(form->getName());
+    if (wider.empty())
+      continue;
+    auto *found = find_if(open, [&](CallInst *call) {
+      return call->getCalledFunction() == form;
+    });
+    if (found == open.end()) {
+      open.push_back(second);
+      continue;
+    }
+    CallInst *first = *found;
+    open.erase(found);
+    IRBuilder<> builder(second);
+    SmallVector<Value *, 2> arguments;
+    SmallVector<llvm::Type *, 2> types;
+    unsigned lanes =
+        cast<FixedVectorType>(form->getReturnType())->getNumElements();
+    SmallVector<int> all = to_vector(seq<int>(0, 2 * lanes));
+    for (auto [a, b] : zip(first->args(), second->args())) {
+      arguments.push_back(builder.CreateShuffleVector(a, b, all));
+      types.push_back(arguments.back()->getType());
+    }
+    llvm::Type *result = llvm::VectorType::getDoubleElementsVectorType(
+        cast<llvm::VectorType>(form->getReturnType()));
+    CallInst *joined = builder.CreateCall(
+        declare(*form->getParent(), wider,
+                llvm::FunctionType::get(result, types, /*isVarArg=*/false)),
+        arguments);
+    FastMathFlags flags = first->getFastMathFlags();
+    flags &= second->getFastMathFlags();
+    joined->setFastMathFlags(flags);
+    ArrayRef<int> halves = all;
+    first->replaceAllUsesWith(
+        builder.CreateShuffleVector(joined, halves.take_front(lanes)));
+    second->replaceAllUsesWith(
+        builder.CreateShuffleVector(joined, halves.drop_front(lanes)));
+    first->eraseFromParent();
+    second->eraseFromParent();
+    changed = true;
+  }
+  return changed;
+}
+
+PreservedAnalyses JoinVectorMath::run(Function &function,
+                                      FunctionAnalysisManager &) {
+  bool changed = false;
+  for (BasicBlock &block : function)
+    changed |= joinCalls(block, *math);
+  if (!changed)
+    return PreservedAnalyses::all();
+  PreservedAnalyses preserved;
+  preserved.preserveSet<CFGAnalyses>();
+  return preserved;
 }
 
 PreservedAnalyses MatchScalarMath::run(Function &function,

@@ -50,10 +50,22 @@ public:
   /// stay as it is.
   const Forms *find(const llvm::CallInst &call) const;
 
+  /// Finds the name of the form with twice as many lanes as the form `name`;
+  /// empty if there is none.
+  llvm::StringRef findTwice(llvm::StringRef name) const {
+    auto found = twice.find(name);
+    return found == twice.end() ? llvm::StringRef() : found->second;
+  }
+
 private:
+  void add(llvm::StringRef intrinsic, llvm::StringRef function,
+           const Forms &added);
+
   /// The forms of functions, by the name of LLVM's intrinsic and by the name of
   /// libm's function.
   llvm::StringMap<Forms> forms;
+  /// The names of vector forms, by the name of the form with half the lanes.
+  llvm::StringMap<std::string> twice;
 };
 
 /// Runs before the loop vectoriser: annotates calls with their vector forms, as
@@ -66,6 +78,17 @@ struct NameVectorMath : llvm::PassInfoMixin<NameVectorMath> {
                               llvm::FunctionAnalysisManager &analyses);
   const VectorMath *math;
   bool besideOthers;
+};
+
+/// Runs after the vectorisers: joins two calls of one vector form in a block to
+/// a call of the form with twice as many lanes, which yields the same bits. On
+/// processors with AVX-512 the vectorisers prefer vectors of 256 bits, since
+/// short loops gain nothing by longer ones; functions take half the time.
+struct JoinVectorMath : llvm::PassInfoMixin<JoinVectorMath> {
+  explicit JoinVectorMath(const VectorMath &math) : math(&math) {}
+  llvm::PreservedAnalyses run(llvm::Function &function,
+                              llvm::FunctionAnalysisManager &analyses);
+  const VectorMath *math;
 };
 
 /// Runs after the vectorisers: in a function that calls vector forms, the
