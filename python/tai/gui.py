@@ -9,13 +9,14 @@ TAI_GUI_FRAMES; 1000 by default).
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from ._impl.base.keywords import check_keywords
-from ._impl.drawing.arrays import numbers, pixels_of
+from ._impl.drawing.arrays import canvas_size, numbers, pixels_of
 from ._impl.drawing.colors import color_map, rgb_bytes
 from ._impl.drawing.events import Event
 from ._impl.drawing.frames import FrameLoop
@@ -45,7 +46,13 @@ def rgb_to_hex(rgb: Any) -> Any:
 
 
 def _bytes(color: Any) -> tuple[int, int, int]:
-    color = int(color)
+    try:
+        color = int(color)
+    except (TypeError, ValueError):
+        raise TaiRuntimeTypeError(
+            f"a colour is one number, but got {color!r}",
+            "write it as 0xRRGGBB, or ti.rgb_to_hex((1.0, 0.5, 0.0))",
+        ) from None
     return (color >> 16 & 255, color >> 8 & 255, color & 255)
 
 
@@ -71,6 +78,20 @@ def _each(values: np.ndarray, count: int, what: str) -> np.ndarray:
     return np.broadcast_to(values, count)
 
 
+def _check_counts(*points: np.ndarray) -> None:
+    """Raises an error if some points of a shape are more than the others.
+
+    Raises:
+        TaiRuntimeTypeError: the numbers of points differ.
+    """
+    counts = [len(p) for p in points]
+    if len(set(counts)) > 1:
+        raise TaiRuntimeTypeError(
+            f"the points of the shapes are {' and '.join(map(str, counts))}",
+            "give as many of one kind as of the other, one for each shape",
+        )
+
+
 def _are_finite(*points: Any) -> np.ndarray:
     """Whether all coordinates of a shape are finite numbers."""
     return np.all([np.isfinite(_array(p).reshape(-1, 2)).all(1) for p in points], axis=0)
@@ -90,6 +111,24 @@ class Widget:
     def __init__(self, text: str, value: float, minimum: float, maximum: float, step: float):
         self.text, self.minimum, self.maximum, self.step = text, minimum, maximum, step
         self.value = value
+
+    @property
+    def value(self) -> Any:
+        return self._value
+
+    @value.setter
+    def value(self, value: Any) -> None:
+        try:
+            is_wrong = isinstance(value, str) or not (math.isfinite(value) or not self.step)
+        except (TypeError, ValueError):
+            is_wrong = True
+        if is_wrong:
+            kind = "slider" if self.step else "label"
+            raise TaiRuntimeTypeError(
+                f"the value of {kind} '{self.text}' is a number, but got {value!r}",
+                "a slider takes finite numbers; gui.text(…) draws words",
+            )
+        self._value = value
 
 
 class GUI(FrameLoop):
@@ -123,7 +162,7 @@ class GUI(FrameLoop):
         max_frames: int | None = None,
     ):
         self.name = name
-        self.res = (int(res), int(res)) if np.ndim(res) == 0 else (int(res[0]), int(res[1]))
+        self.res = canvas_size(res, "a GUI")
         self.background_color = background_color
         super().__init__(self.res, frames_dir, max_frames)
         self._widgets: list[tuple[str, Any]] = []
@@ -184,13 +223,26 @@ class GUI(FrameLoop):
         points = self._points(pos)
         colors = self._colors(color, len(points), palette, palette_indices)
         radii = _each(_array(radius), len(points), "radii") * _SCALE
-        for (x, y), r, fill in zip(points.tolist(), radii.tolist(), _tuples(colors), strict=True):
+        if (radii < 0).any():
+            raise TaiRuntimeTypeError(
+                f"a radius is {radii.min() / _SCALE:g}", "radii are pixels, from 0 on"
+            )
+        kept = np.isfinite(radii)
+        some = points[kept].tolist(), radii[kept].tolist(), _tuples(colors[kept])
+        for (x, y), r, fill in zip(*some, strict=True):
             self._draw.ellipse((x - r, y - r, x + r, y + r), fill=fill)
 
     def _colors(self, color: Any, count: int, palette: Any, indices: Any) -> np.ndarray:
         """Returns the colours of shapes as bytes, (count, 3)."""
         if palette is not None:
-            color = np.asarray(palette)[_array(indices).astype(int).ravel()]
+            colors, chosen = np.asarray(palette), _array(indices).astype(int).ravel()
+            if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(colors):
+                raise TaiRuntimeTypeError(
+                    f"palette_indices are from {chosen.min()} to {chosen.max()}, but the palette "
+                    f"has {len(colors)} colours",
+                    "indices count from 0",
+                )
+            color = colors[chosen]
         return rgb_bytes(_each(numbers(color, np.int64), count, "colours"))
 
     def line(self, begin: Any, end: Any, radius: float = 1, color: int = 0xFFFFFF) -> None:
@@ -200,6 +252,7 @@ class GUI(FrameLoop):
     def lines(self, begin: Any, end: Any, radius: Any = 1, color: Any = 0xFFFFFF) -> None:
         """Many lines."""
         starts, ends = self._points(begin), self._points(end)
+        _check_counts(starts, ends)
         colors = self._colors(color, len(starts), None, None)
         widths = _each(_array(radius), len(starts), "radii") * _SCALE
         kept = _are_finite(begin, end)
@@ -217,6 +270,7 @@ class GUI(FrameLoop):
     def triangles(self, a: Any, b: Any, c: Any, color: Any = 0xFFFFFF) -> None:
         """Many filled triangles."""
         corners = [self._points(p) for p in (a, b, c)]
+        _check_counts(*corners)
         colors = self._colors(color, len(corners[0]), None, None)
         kept = _are_finite(a, b, c)
         some = [corner[kept] for corner in corners]
@@ -243,6 +297,7 @@ class GUI(FrameLoop):
     def arrows(self, orig: Any, direction: Any, radius: float = 1, color: Any = 0xFFFFFF) -> None:
         """Draws many arrows; arrows without a length are left out."""
         starts, ways = (_array(values).reshape(-1, 2) for values in (orig, direction))
+        _check_counts(starts, ways)
         tips, sides = starts + ways, np.stack([-ways[:, 1], ways[:, 0]], 1)
         colors = _each(numbers(color, np.int64), len(starts), "colours")
         kept = np.isfinite(ways).all(1) & (ways != 0).any(1)
@@ -288,15 +343,17 @@ class GUI(FrameLoop):
         """Colours for a field of numbers (n, m), interpolated over the canvas.
 
         Args:
-            normalize: the smallest number gets the first colour and the largest one the last;
-                otherwise 0 and 1 do.
+            normalize: the smallest finite number gets the first colour and the largest one the
+                last; otherwise 0 and 1 do. NaN has the first colour.
         """
         from PIL import Image
 
-        values = np.nan_to_num(self._grid(field))
+        values = self._grid(field)
         if normalize:
-            low, high = values.min(), values.max()
+            finite = values[np.isfinite(values)]
+            low, high = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
             values = (values - low) / (high - low) if high > low else np.zeros_like(values)
+        values = np.nan_to_num(values).clip(-1e30, 1e30)
         fine = Image.fromarray(values.T.astype(np.float32)).resize(
             self.res, Image.Resampling.BILINEAR
         )
@@ -312,13 +369,13 @@ class GUI(FrameLoop):
             )
         return array
 
-    def text(self, content: str, pos: Any, font_size: int = 15, color: int = 0xFFFFFF) -> None:
+    def text(self, content: Any, pos: Any, font_size: int = 15, color: int = 0xFFFFFF) -> None:
         """Draws a line of text; the position is its upper left corner."""
         from PIL import ImageFont
 
         ((x, y),) = self._points(pos)
         font = ImageFont.load_default(size=font_size * _SCALE)
-        self._draw.text((x, y), content, fill=_bytes(color), font=font)
+        self._draw.text((x, y), str(content), fill=_bytes(color), font=font)
 
     # Frames
 

@@ -17,7 +17,7 @@ import numpy as np
 from ._impl.base.files import save_picture
 from ._impl.base.keywords import check_keywords
 from ._impl.drawing import events, library
-from ._impl.drawing.arrays import numbers, pixels_of, vectors
+from ._impl.drawing.arrays import canvas_size, numbers, pixels_of, vectors
 from ._impl.drawing.camera import Steering, look_at, orthographic, perspective
 from ._impl.drawing.frames import FrameLoop
 from ._impl.drawing.panels import Panels, layer
@@ -167,6 +167,16 @@ def _point(*values: Any) -> np.ndarray:
     return point
 
 
+def _color(value: Any) -> np.ndarray:
+    color = numbers(value, float).ravel()
+    if color.shape != (3,) or not np.isfinite(color).all():
+        raise TaiRuntimeTypeError(
+            f"a colour is three numbers from 0 to 1, but got {value!r}",
+            "write (1.0, 0.5, 0.0); ti.hex_to_rgb(0xFF8000) makes them",
+        )
+    return color
+
+
 def _three(points: np.ndarray) -> np.ndarray:
     """Gives points of the plane a third coordinate, 0."""
     if points.shape[1] == 3:
@@ -242,14 +252,14 @@ class Scene:
 
     def ambient_light(self, color: Any) -> None:
         """Adds light from everywhere: each number multiplies a channel of the colours."""
-        self._ambient = tuple(_point(color).tolist())
+        self._ambient = tuple(_color(color).tolist())
 
     def point_light(self, pos: Any, color: Any) -> None:
         """A lamp at a point. It lights a surface by the cosine of the angle to its normal, at any
         distance, and casts no shadows."""
         if len(self._lights) == MOST_LIGHTS:
             raise TaiRuntimeError(f"a scene has at most {MOST_LIGHTS} point lights")
-        self._lights.append((_point(pos), _point(color)))
+        self._lights.append((_point(pos), _color(color)))
 
     def particles(
         self, centers: Any, radius: float, color: Any = GREY, per_vertex_color: Any = None,
@@ -381,7 +391,7 @@ class Canvas:
 
     def set_background_color(self, color: Any) -> None:
         """The colour of frames that nothing covers, three numbers from 0 to 1."""
-        self.background = tuple(_point(color).tolist())
+        self.background = tuple(_color(color).tolist())
 
     def set_image(self, img: Any) -> None:
         """A picture that fills the canvas: (n, m), (n, m, 3) or (n, m, 4), first index to the
@@ -486,7 +496,7 @@ class Gui:
         if color is None:
             self._panels.text(text)
         else:
-            red, green, blue = (round(255 * value) for value in _point(color).clip(0, 1).tolist())
+            red, green, blue = (round(255 * value) for value in _color(color).clip(0, 1).tolist())
             self._panels.text(text, (red, green, blue, 255))
 
     def button(self, text: str) -> bool:
@@ -534,7 +544,7 @@ class Window(FrameLoop):
         frames_dir: str | None = None, max_frames: int | None = None,
     ):  # fmt: skip
         self.name = name
-        self.res = (int(res), int(res)) if np.ndim(res) == 0 else (int(res[0]), int(res[1]))
+        self.res = canvas_size(res, "a window")
         super().__init__(self.res, frames_dir, max_frames)
         self.fps_limit = fps_limit
         if show_window:

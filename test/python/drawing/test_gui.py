@@ -257,3 +257,83 @@ def test_progress_on_a_terminal_without_rich(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert list(ti.tools.Progress(range(5), "work")) == list(range(5))
     assert capsys.readouterr().err.splitlines()[-1].startswith("work 5/5")
+
+
+def _gui():
+    return ti.GUI("test", res=(64, 32), show_gui=False)
+
+
+FIVE = np.random.default_rng(0).uniform(size=(5, 2))
+MISTAKES = {
+    "radius": (lambda gui: gui.circle((0.5, 0.5), radius=-3), "a radius is -3"),
+    "palette": (
+        lambda gui: gui.circles(FIVE, 1, palette=[1, 2], palette_indices=[0, 1, 0, 1, 2]),
+        "palette_indices are from 0 to 2, but the palette has 2 colours",
+    ),
+    "negative": (
+        lambda gui: gui.circles(FIVE, 1, palette=[1, 2], palette_indices=[0, 1, 0, 1, -1]),
+        "palette_indices are from -1 to 1",
+    ),
+    "lines": (lambda gui: gui.lines(FIVE, FIVE[:4]), "the points of the shapes are 5 and 4"),
+    "arrows": (lambda gui: gui.arrows(FIVE, FIVE[:1]), "the points of the shapes are 5 and 1"),
+    "triangles": (lambda gui: gui.triangles(FIVE, FIVE, FIVE[:2]), "are 5 and 5 and 2"),
+    "colour": (lambda gui: gui.clear("red"), "a colour is one number, but got 'red'"),
+    "res": (lambda gui: ti.GUI("x", res=0, show_gui=False), "but got res=0"),
+    "width": (lambda gui: ti.GUI("x", res=(-1, 3), show_gui=False), "a GUI has a width"),
+    "fraction": (lambda gui: ti.GUI("x", res=3.5, show_gui=False), "but got res=3.5"),
+    "three": (lambda gui: ti.GUI("x", res=(3, 3, 3), show_gui=False), r"res=\(3, 3, 3\)"),
+    "text": (lambda gui: setattr(gui.slider("s", 0, 1), "value", "a"), "slider 's' is a number"),
+    "nan": (lambda gui: setattr(gui.slider("s", 0, 1), "value", np.nan), "but got nan"),
+    "label": (lambda gui: setattr(gui.label("l"), "value", "a"), "label 'l' is a number"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistakes_have_a_hint(name):
+    call, message = MISTAKES[name]
+    gui = _gui()
+    before = np.asarray(gui.picture())
+    with pytest.raises(ti.TaiRuntimeTypeError, match=message) as caught:
+        call(gui)
+    assert caught.value.hint
+    np.testing.assert_array_equal(np.asarray(gui.picture()), before)
+    gui.show()  # the frame of a refused value can still be drawn
+
+
+def test_a_file_of_no_known_format(tmp_path):
+    gui = _gui()
+    for name in ("a.xyz", "a"):
+        with pytest.raises(ti.TaiRuntimeError, match="says its format") as caught:
+            gui.show(str(tmp_path / name))
+        assert ".png" in caught.value.hint
+    gui.show(str(tmp_path / "a.JPG"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.JPG"]
+
+
+def test_numbers_as_text_and_labels_that_are_not_finite():
+    gui = _gui()
+    gui.text(30, (0.1, 0.9), font_size=20)
+    assert np.asarray(gui.picture()).any()
+    gui.label("loss").value = np.nan
+    gui.show()
+
+
+def test_contours_of_numbers_that_are_not_finite(recwarn):
+    values = np.array([[5.0, 6.0], [7.0, np.nan]])
+    gui = _gui()
+    gui.contour(values, normalize=True)
+    found = np.asarray(gui.picture())
+    gui.contour(np.array([[0.0, 0.5], [1.0, 0.0]]))
+    np.testing.assert_array_equal(found, np.asarray(gui.picture()))
+    for other in (np.inf, -np.inf, np.nan, 1e300):
+        for normalize in (False, True):
+            gui.contour(np.array([[5.0, 6.0], [7.0, other]]), normalize)
+            gui.contour(np.full((2, 2), other), normalize)
+    assert not recwarn.list
+
+
+def test_discs_whose_radii_are_not_finite():
+    gui = _gui()
+    gui.circles(FIVE, [np.nan, np.inf, np.nan, np.inf, np.nan])
+    gui.point_field(np.full((3, 3), np.nan))
+    assert not np.asarray(gui.picture()).any()

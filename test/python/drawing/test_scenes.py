@@ -351,7 +351,7 @@ def test_wrong_arguments(view):
         (lambda s: s.mesh(np.zeros((3, 3)), normals=np.zeros((2, 3))), "2 normals for 3"),
         (lambda s: s.lines(np.zeros((3, 3)), 1), "2 vertices each"),
         (lambda s: s.particles("abc", 1), "no numbers"),
-        (lambda s: s.ambient_light((1, 2)), "three finite coordinates"),
+        (lambda s: s.ambient_light((1, 2)), "three numbers from 0 to 1"),
         (lambda s: s.mesh_instance(TRIANGLE, transforms=np.eye(3)), "matrices of 4×4"),
     ]  # fmt: skip
     for call, message in cases:
@@ -657,3 +657,17 @@ def test_without_opengl(tmp_path):
     assert done.stderr.startswith("ti.ui.Window opens no window (there is no display): ")
     assert "a 3-D scene needs the package moderngl" in done.stderr
     assert 'pip install "tai[view]"' in done.stderr and "line 11, in <module>" in done.stderr
+
+
+@pytest.mark.parametrize("color", [(1, 1), 0xFF, (1, np.nan, 0)])
+def test_what_is_no_colour(color):
+    for call in (ti.ui.Scene().ambient_light, lambda c: ti.ui.Scene().point_light((0, 0, 0), c)):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="a colour is three numbers") as caught:
+            call(color)
+        assert "ti.hex_to_rgb" in caught.value.hint
+
+
+@pytest.mark.parametrize("res", [0, (0, 80), (1.5, 80), (1, 2, 3)])
+def test_windows_of_no_size(res):
+    with pytest.raises(ti.TaiRuntimeTypeError, match="a window has a width and a height"):
+        ti.ui.Window("w", res, show_window=False)

@@ -7,8 +7,10 @@ import errno
 import os
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Any, BinaryIO
+
+from ...errors import TaiRuntimeError
 
 # Longer names of temporary files might be refused by the file system.
 _LONGEST_SUFFIX = 32
@@ -69,12 +71,31 @@ def write_text(path: Any, text: str) -> None:
 
 
 def save_picture(picture: Any, path: Any, **options: Any) -> None:
-    """Saves a Pillow image to a stream, or to a file as with `replacing_name`."""
+    """Saves a Pillow image to a stream, or to a file as with `replacing_name`.
+
+    Raises:
+        TaiRuntimeError: the name of the file ends in no known format.
+    """
     if hasattr(path, "write"):
         picture.save(path, **options)
         return
+    suffix = os.path.splitext(path)[1].lower()
+    if "format" not in options and suffix not in _suffixes():
+        raise TaiRuntimeError(
+            f"the name of a picture says its format, but '{path}' ends in "
+            + (f"'{suffix}'" if suffix else "none"),
+            "write a .png or .jpg",
+        )
     with replacing_name(path) as name:
         picture.save(name, **options)
+
+
+def _suffixes() -> Container[str]:
+    """The ends of names of files whose formats Pillow writes."""
+    from PIL import Image
+
+    Image.init()
+    return {end for end, kind in Image.EXTENSION.items() if kind in Image.SAVE}
 
 
 def _find(path: Any) -> os.stat_result | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,28 @@ def numbers(values: Any, dtype: Any = np.float32) -> np.ndarray:
             f"{type(values).__name__} holds no numbers to draw",
             "pass a field, an array, a NumPy array or a tensor",
         ) from None
+
+
+def canvas_size(res: Any, what: str) -> tuple[int, int]:
+    """Returns the width and the height that an argument `res` means: a number is both.
+
+    Args:
+        res: one or two whole numbers.
+        what: names the canvas in the error.
+
+    Raises:
+        TaiRuntimeTypeError: they are no whole numbers from 1 on.
+    """
+    try:
+        sizes = [operator.index(n) for n in np.atleast_1d(res).tolist()]
+    except TypeError:
+        sizes = []
+    if len(sizes) not in (1, 2) or min(sizes) < 1:
+        raise TaiRuntimeTypeError(
+            f"{what} has a width and a height in pixels, but got res={res!r}",
+            "write res=512 or res=(640, 480)",
+        )
+    return sizes[0], sizes[-1]
 
 
 def vectors(values: Any, sizes: tuple[int, ...], what: str) -> np.ndarray:
