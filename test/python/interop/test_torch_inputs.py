@@ -61,3 +61,16 @@ def test_an_answer_that_is_no_shape(answer):
 def test_answers_that_are_shapes(answer):
     operator = ti.torch.wrap(multiply, outputs={"y": lambda x, w: answer})
     assert operator(torch.full((3,), 2.0), torch.full((3,), 3.0)).tolist() == [6, 6, 6]
+
+
+def test_a_tensor_of_a_fraction_for_a_whole_number():
+    @ti.kernel
+    def fill(x: ti.types.ndarray(), n: ti.i32, y: ti.types.ndarray()):
+        for i in range(n):
+            y[i] = x[i]
+
+    operator = ti.torch.wrap(fill, outputs={"y": "x"})
+    with pytest.raises(ti.TaiRuntimeTypeError, match="'n' .* is a whole number") as caught:
+        operator(torch.ones(3), torch.tensor(2.5))
+    assert "int(n)" in caught.value.hint
+    assert operator(torch.ones(3), torch.tensor(2)).tolist() == [1, 1, 0]

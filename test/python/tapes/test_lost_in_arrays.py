@@ -369,3 +369,29 @@ def test_no_grad():
         program.total()
 
     silent(run, program.loss)
+
+
+@pytest.mark.parametrize("n", [0, 3])
+def test_nothing_is_lost_in_an_array_without_elements(n):
+    """A kernel has stored to it, but its memory cannot be told apart."""
+
+    @ti.kernel
+    def square(a: Array, b: Array):
+        for i in range(a.shape[0]):
+            b[i] = a[i] * a[i]
+
+    @ti.kernel
+    def weigh(a: Array, w: Array, b: Array):
+        for i in range(a.shape[0]):
+            b[i] = a[i] * w[i]
+
+    given, middle = np.ones(n), np.zeros(n)
+    w, y = (ti.ndarray(ti.f64, n, needs_grad=True) for _ in range(2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with ti.ad.Tape() as tape:
+            square(given, middle)
+            weigh(middle, w, y)
+        y.grad.fill(1)
+        tape.grad()
+    assert w.grad.to_numpy().tolist() == [1] * n

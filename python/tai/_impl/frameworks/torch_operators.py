@@ -71,6 +71,7 @@ class Operator:
         self.outputs = [n for n in kinds if n in outputs]
         self._is_tensor = [kinds[n] == "array" for n in self.inputs]
         self._takes_numbers = not all(self._is_tensor)
+        self._whole = {n for n in self.inputs if kinds[n] == "int"}
         # The launcher of a kernel takes tensors as they are.
         self._is_kernel = isinstance(function, Kernel)
         # For each parameter of the operator in order: whether it is an input, and its number among
@@ -556,6 +557,11 @@ class Operator:
                     )
                 if not torch.compiler.is_compiling():
                     value = value.item()
+                    if isinstance(value, float) and name in self._whole:
+                        raise TaiRuntimeTypeError(
+                            f"{what} is a whole number, but got a tensor with {value!r}",
+                            f"pass int({name})",
+                        )
             found.append(value)
         return tuple(found)
 
