@@ -337,6 +337,19 @@ def test_shape_of_an_array_in_a_kernel():
     assert extent() == 6
 
 
+def test_halves_are_rounded_otherwise():
+    """`np.rint(0.5)` is 0 and `ti.round(0.5)` is 1, and the error says so."""
+    x = ti.field(ti.f32, 3)
+
+    @ti.kernel
+    def nearest():
+        for i in x:
+            x[i] = np.rint(x[i])
+
+    hint = "write ti.round(x[i]), which rounds halves away from zero"
+    refused(nearest, "np.rint cannot take values of a kernel", hint)
+
+
 # Arrays and functions of JAX and torch in kernels
 
 

@@ -11,6 +11,9 @@ import numpy as np
 
 from ...errors import TaiTypeError
 
+# NumPy rounds halves to even numbers.
+_EVEN = "ti.round({0}), which rounds halves away from zero"
+
 # For each function of NumPy and `math` on numbers: the expression that computes the same in
 # kernels, with {0}, {1}, … for the arguments.
 _OF_NUMBERS = {
@@ -20,7 +23,7 @@ _OF_NUMBERS = {
     "arcsin": "ti.asin({0})", "arccos": "ti.acos({0})", "arctan": "ti.atan({0})",
     "arctan2": "ti.atan2({0}, {1})", "sinh": "ti.sinh({0})", "cosh": "ti.cosh({0})",
     "arcsinh": "ti.asinh({0})", "arccosh": "ti.acosh({0})", "arctanh": "ti.atanh({0})",
-    "rint": "ti.round({0})", "trunc": "ti.trunc({0})",
+    "rint": _EVEN, "trunc": "ti.trunc({0})",
     "sign": "ti.math.sign({0})", "negative": "-{0}", "positive": "{0}", "reciprocal": "1 / {0}",
     "isnan": "ti.math.isnan({0})", "isinf": "ti.math.isinf({0})",
     "isfinite": "not (ti.math.isnan({0}) or ti.math.isinf({0}))",
@@ -44,7 +47,7 @@ _OF_NUMBERS = {
     "heaviside": "ti.select({0} < 0, 0.0, ti.select({0} > 0, 1.0, {1}))",
     "logaddexp": "ti.max({0}, {1}) + ti.math.log1p(ti.exp(-ti.abs({0} - {1})))",
     "ldexp": "{0} * 2.0 ** {1}", "matmul": "{0} @ {1}", "clip": "ti.math.clamp({0}, {1}, {2})",
-    "where": "ti.select({0}, {1}, {2})", "round": "ti.round({0})", "around": "ti.round({0})",
+    "where": "ti.select({0}, {1}, {2})", "round": _EVEN, "around": _EVEN,
     "isclose": "ti.abs({0} - {1}) < 1e-6", "float32": "ti.cast({0}, ti.f32)",
     "float64": "ti.cast({0}, ti.f64)", "int32": "ti.cast({0}, ti.i32)",
     "int64": "ti.cast({0}, ti.i64)",
