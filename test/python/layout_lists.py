@@ -14,6 +14,8 @@ ABOUT_LAYOUTS = {
 
 # Linear solvers take all elements of a vector, so they refuse sparse fields.
 SOLVES = "ti.linalg refuses sparse fields"
+# L-BFGS, Gauss-Newton and SciPy's methods multiply vectors of all elements.
+MINIMIZES = "minimisers refuse sparse fields"
 # solve_to compares runs in other types, but the type of a sparse field cannot be changed.
 TYPES = "the type of a sparse field cannot be changed"
 
@@ -22,6 +24,7 @@ DENSE_FILES = {
     "test_hvp_of_solves": SOLVES,
     "test_implicit": SOLVES,
     "test_linear_solvers": SOLVES,
+    "test_minimizers": MINIMIZES,
     "test_solver_iterations": SOLVES,
     "test_solver_table": SOLVES,
 }
@@ -70,6 +73,7 @@ DENSE_ALONE = {
         "test_what_fails": FORM,
     },
     "test_profiler": {"test_rows": LISTS, "test_tables": LISTS, "test_trace": LISTS},
+    "test_rare_refusals": {"test_rare_mistakes_on_the_host": SOLVES},
     "test_recorded_again": {
         "test_addresses_of_what_is_kept_stay": FORM,
         "test_arguments_that_change_each_time": FORM,

@@ -82,8 +82,7 @@ def save_picture(picture: Any, path: Any, **options: Any) -> None:
     suffix = os.path.splitext(path)[1].lower()
     if "format" not in options and suffix not in _suffixes():
         raise TaiRuntimeError(
-            f"the name of a picture says its format, but '{path}' ends in "
-            + (f"'{suffix}'" if suffix else "none"),
+            f"the picture cannot be written to '{path}': the end of its name is no format",
             "write a .png or .jpg",
         )
     with replacing_name(path) as name:
