@@ -75,6 +75,9 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object,
     return Match::No;
   else if (!PyObject_CheckBuffer(object))
     match = packTensor(arg, object, nullptr, slots);
+  else if (PyType_HasFeature(Py_TYPE(object), Py_TPFLAGS_HEAPTYPE))
+    // A subclass of np.ndarray, such as a masked array, is looked at in Python.
+    return Match::No;
   else
     match = arg.hasGradient ? Match::No : packBuffer(arg, object, slots);
   if (match != Match::Yes || (use == ArrayUse::Forward && !mayAlias))

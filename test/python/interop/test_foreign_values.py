@@ -427,3 +427,37 @@ def test_parts_of_buffers_of_a_gpu():
     assert part.ctypes.data == 4096 + 4 * (2 * 10 + 1 * 2) and part.flags.writeable
     whole.flags.writeable = False
     assert not whole[(0, ...)].flags.writeable
+
+
+def test_masked_elements_are_refused():
+    ti.init(arch=ti.cpu)
+    x = ti.field(ti.f32, 4)
+    v = ti.Vector.field(2, ti.f32, 4)
+    held = ti.ndarray(ti.f32, 4)
+    one = np.ma.masked_array(np.arange(4, dtype=np.float32), mask=[0, 1, 0, 0])
+    two = np.ma.masked_array(np.ones((4, 2), np.float32), mask=np.eye(4, 2))
+
+    @ti.kernel
+    def take(a: ti.types.ndarray()):
+        for i in x:
+            x[i] = a[i]
+
+    uses = [
+        lambda: x.from_numpy(one),
+        lambda: x.fill(one),
+        lambda: x.__setitem__(0, np.ma.masked),
+        lambda: v.from_numpy(two),
+        lambda: v.__setitem__(0, two[0]),
+        lambda: held.from_numpy(one),
+        lambda: take(one),
+        lambda: take(one),
+    ]
+    take(one.data)
+    for use in uses:
+        with pytest.raises(ti.TaiRuntimeTypeError, match=r"masked(.|\n)*array.filled\(0\)"):
+            use()
+    # A masked array without masked elements is as good as its data.
+    whole = np.ma.masked_array(np.full(4, 2, np.float32))
+    take(whole)
+    x.from_numpy(whole)
+    assert x.to_numpy().tolist() == [2, 2, 2, 2]

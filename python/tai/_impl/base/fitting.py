@@ -58,6 +58,8 @@ def check_float(value: Any, dt: DataType, what: Any) -> None:
 
 def one_number(value: Any, what: Any) -> Any:
     """The number in an array of one element or in another library's scalar, as a Python number."""
+    if isinstance(value, np.ma.MaskedArray):
+        value = unmasked(value)
     try:
         return value.item() if hasattr(value, "item") else float(value)
     except (TypeError, ValueError):  # several numbers
@@ -96,6 +98,20 @@ def _checked(value: Any, dt: DataType, what: Any) -> int:
         hint = f"ti.cast({value}, ti.{dt}) keeps its low bits" if "low bits" in (
             error.hint or "") else "take a field of a wider type"  # fmt: skip
         raise TaiRuntimeTypeError(f"{_say(what)}: {error.message}", hint) from None
+
+
+def unmasked(value: Any) -> np.ndarray:
+    """Converts what Python code passes to an array.
+
+    Raises:
+        TaiRuntimeTypeError: some of its elements are masked.
+    """
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise TaiRuntimeTypeError(
+            "some elements of the array are masked, and fields and kernels know no masks",
+            "say which number they hold: array.filled(0)",
+        )
+    return np.asarray(value)
 
 
 def stored_array(array: np.ndarray, dt: DataType, what: Any) -> np.ndarray:

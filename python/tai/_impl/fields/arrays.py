@@ -152,7 +152,7 @@ class Ndarray(Elements):
         if array is None:
             raise TaiRuntimeTypeError(f"from_numpy expects an array, but got {array}", NONE_HINT)
         with self._refusing(..., array):
-            array = np.asarray(array)
+            array = fitting.unmasked(array)
         if array.shape != self.array.shape:
             raise TaiRuntimeTypeError(
                 f"expects an array of shape {self.array.shape}, but got {array.shape}"
@@ -173,7 +173,7 @@ class Ndarray(Elements):
         if np.ndim(value) == 0 and is_number(value):
             value = value.item() if hasattr(value, "item") else value
             return fitting.stored(value, self.dtype, "the array")
-        return fitting.stored_array(np.asarray(value), self.dtype, "the array")
+        return fitting.stored_array(fitting.unmasked(value), self.dtype, "the array")
 
     def copy_from(self, other: Any) -> None:
         """Copies an array or a field of the same shape; tapes and forward mode follow it."""

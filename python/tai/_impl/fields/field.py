@@ -256,7 +256,7 @@ class Field(Elements, Shareable):
         raise NotImplementedError
 
     def _check_array(self, array: Any) -> np.ndarray:
-        array = np.asarray(array)
+        array = fitting.unmasked(array)
         wanted = self.shape + self.element_shape
         if array.shape != wanted:
             raise TaiRuntimeTypeError(

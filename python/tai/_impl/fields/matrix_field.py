@@ -168,7 +168,7 @@ class MatrixField(Field):
         if state.tape is not None or state.forward:
             origins.check_write(self, value)
         self._placed_node()
-        values = np.asarray(value.to_numpy() if hasattr(value, "to_numpy") else value)
+        values = fitting.unmasked(value.to_numpy() if hasattr(value, "to_numpy") else value)
         if values.ndim == 0:
             values = np.full(self.element_shape, values)
         if values.dtype.kind not in "biuf":
@@ -221,7 +221,7 @@ class MatrixField(Field):
         return array.reshape(*self.shape, self.n, *([1] if keep_dims else []))
 
     def from_numpy(self, array: Any) -> None:
-        array = np.asarray(array)
+        array = fitting.unmasked(array)
         if self.m == 1 and array.shape in ((*self.shape, self.n), (*self.shape, self.n, 1)):
             array = array.reshape(self.shape + self.element_shape)
         array = self._check_array(array)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiAutodiffError
+from ..base import fitting
 from ..base.elements import Elements
 from ..interop import device_arrays
 from . import tracked
@@ -17,7 +18,10 @@ def as_array(value: Any) -> Any:
     """The NumPy array that shares the memory of `value`, a `DeviceArray`, or None."""
     if isinstance(value, np.ndarray):
         # A subclass of np.ndarray may report any shape, so a plain view is used.
-        return value if type(value) is np.ndarray else np.ndarray.view(value, np.ndarray)
+        if type(value) is np.ndarray:
+            return value
+        fitting.unmasked(value)
+        return np.ndarray.view(value, np.ndarray)
     if isinstance(getattr(value, "array", None), (np.ndarray, device_arrays.DeviceArray)):
         return value.array
     if isinstance(value, Elements):  # a field
