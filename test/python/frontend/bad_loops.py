@@ -273,7 +273,7 @@ def activity_of_a_number():
 @bad(
     ti.TaiTypeError,
     "field 'x' has no attribute 'append'",
-    "an element is x[i]; dir(x) lists its attributes",
+    "lists grow in kernels, by x[i].append(value) or ti.append(level, i, value)",
 )
 def append_to_a_dense_field():
     x, _, _, _ = fields()

@@ -504,7 +504,7 @@ def f(a: ti.f64, b: ti.f64, n: ti.i32, k: ti.i32) -> ti.f64:
         names["f"](**arguments)
     hint = caught.value.hint
     assert hint.startswith("write "), hint
-    expression = hint.removeprefix("write ")
+    expression = hint.removeprefix("write ").partition(", which ")[0]
     ast.parse(expression)
     check_names(hint)
     # A truth value is a number in the result.

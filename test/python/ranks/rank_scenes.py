@@ -183,7 +183,7 @@ def hanging(transport: Any) -> tuple[str, str]:
     """The last rank hangs after the first launch; the others launch again until they fail."""
     x, blur = _blur(transport, 1)
     blur()
-    transport.patience = 0.5
+    transport.patience = 4
     if transport.rank == transport.size - 1:
         transport.hang()
         return "hung", ""
@@ -237,7 +237,7 @@ def alone(transport: Any) -> str:
     """Rank 0 reads an element, which all ranks must read."""
     x, blur = _blur(transport, 1)
     blur()
-    transport.patience = 0.5
+    transport.patience = 4
     return _failure((lambda: x[3]) if transport.rank == 0 else blur)
 
 
