@@ -3,6 +3,7 @@
 import _weakrefset
 import dis
 import functools
+import inspect
 import subprocess
 import sys
 import threading
@@ -33,6 +34,10 @@ def catcher(code, offset):
     return found[-1].target if found else None
 
 
+# An interruption that Python has lost, so that the work was done.
+LOST = KeyboardInterrupt()
+
+
 class Steps:
     """Goes through the steps of some files at which Python may call a signal handler."""
 
@@ -41,6 +46,8 @@ class Steps:
         # Each once: where it is in the code, and where that was called.
         self.seen = set()
         self.wanted = None
+        # Whether the interrupted step was one of a generator.
+        self.is_in_generator = False
 
     def run(self, work, wanted):
         """Interrupts the step with that number, if there are so many; says whether it did."""
@@ -55,7 +62,10 @@ class Steps:
             return error
         finally:
             sys.settrace(outer)
-        # Python itself loses some exceptions, such as those raised in a `__del__`.
+        # Python itself loses some exceptions, such as those raised in a `__del__`. It reports that of
+        # a generator that it closes, and goes on.
+        if wanted < len(self.seen) and self.is_in_generator:
+            return LOST
         assert wanted >= len(self.seen)
         return None
 
@@ -78,6 +88,7 @@ class Steps:
             if looked and step not in self.seen:
                 self.seen.add(step)
                 if len(self.seen) - 1 == self.wanted:
+                    self.is_in_generator = bool(code.co_flags & inspect.CO_GENERATOR)
                     raise KeyboardInterrupt
             return follow
 
@@ -146,9 +157,12 @@ def interrupt_everywhere(files, make, program, after=lambda: None):
         after: looks at the state after an interruption.
     """
     steps, number, limit = Steps(files), 0, sys.getrecursionlimit()
-    # Since Python 3.12, the steps of a function are seen from the second run on that is traced.
+    # Since Python 3.12, the steps of a function are seen from the second run on that is traced,
+    # and since 3.13 only if all runs between them were.
     steps.run(make()[0], sys.maxsize)
     while True:
+        if sys.version_info >= (3, 13):
+            steps.run(make()[0], sys.maxsize)
         work, check = make()
         error = steps.run(work, number)
         if error is None:
@@ -156,7 +170,8 @@ def interrupt_everywhere(files, make, program, after=lambda: None):
         after()
         assert sys.getrecursionlimit() == limit
         check_state(program)
-        work()
+        if error is not LOST:
+            work()
         check()
         number += 1
     assert number > 10
