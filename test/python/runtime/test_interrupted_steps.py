@@ -62,8 +62,8 @@ class Steps:
             return error
         finally:
             sys.settrace(outer)
-        # Python itself loses some exceptions, such as those raised in a `__del__`. It reports that of
-        # a generator that it closes, and goes on.
+        # Python itself loses some exceptions, such as those raised in a `__del__`. It reports that
+        # of a generator that it closes, and goes on.
         if wanted < len(self.seen) and self.is_in_generator:
             return LOST
         assert wanted >= len(self.seen)
